@@ -1,0 +1,1 @@
+//! Benchmark scenes, one JSON line each

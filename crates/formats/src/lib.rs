@@ -1,0 +1,1 @@
+//! Bytes to nouns and back: the PLY family, .splat, meshes and images

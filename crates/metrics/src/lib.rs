@@ -1,0 +1,1 @@
+//! Ground-truth assets and the paper's claims as numbers

@@ -1,0 +1,1 @@
+//! Runs a scene end to end: stages, cache, checkpoints, resume, progress events

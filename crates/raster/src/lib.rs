@@ -1,0 +1,1 @@
+//! CPU rasterizer for 3D Gaussians: splats and a camera in, channels out

@@ -1,0 +1,1 @@
+//! scene.toml to a typed scene and back: presets, materials, validation, JSON Schema

@@ -1,0 +1,1 @@
+//! Thermomechanical MLS-MPM: points and a scene in, points over time out

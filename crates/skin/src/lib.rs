@@ -1,0 +1,1 @@
+//! Deformed points to a renderable surface: push-forward, rebase, needle clamp

@@ -1,0 +1,1 @@
+//! The physics suite and golden comparisons as an integration crate
