@@ -24,8 +24,8 @@ pub fn eigen_symmetric<T: Real>(a: Mat3<T>) -> (Vec3<T>, Mat3<T>) {
     for _ in 0..30 {
         let off = a[0][1] * a[0][1] + a[0][2] * a[0][2] + a[1][2] * a[1][2];
         let size = a[0][0] * a[0][0] + a[1][1] * a[1][1] + a[2][2] * a[2][2];
-        // `!(off > …)` rather than `off <= …` also ends the loop on NaN.
-        if !(off > size * tiny) || off == T::zero() {
+
+        if off <= size * tiny || off.is_nan() {
             break;
         }
         for (p, q) in [(0, 1), (0, 2), (1, 2)] {

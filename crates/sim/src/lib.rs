@@ -1,1 +1,12 @@
-//! Thermomechanical MLS-MPM: points and a scene in, points over time out
+//! Thermomechanical MLS-MPM: material points that deform, heat, melt and freeze (see the design's simulation chapter).
+//!
+//! The crate knows no splat, no pixel and no file. SI units throughout, +z is up.
+
+pub mod collider;
+pub mod grid;
+pub mod material;
+pub mod mechanics;
+pub mod particles;
+pub mod phase;
+pub mod source;
+pub mod thermal;

@@ -1,1 +1,0 @@
-//! Benchmark scenes, one JSON line each

@@ -1,0 +1,30 @@
+//! Benchmark scenes: one JSON line on standard output, nothing else (see `--help`).
+
+mod m1;
+mod s1;
+mod timing;
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(name = "megas-bench", version, about = "Benchmark scenes of MeGAS; each prints one JSON line")]
+struct Cli {
+    #[command(subcommand)]
+    scene: Scene,
+}
+
+#[derive(Subcommand)]
+enum Scene {
+    /// MLS-MPM/APIC block in a unit box
+    M1(m1::Args),
+    /// Forward rasterization of random Gaussians
+    S1(s1::Args),
+}
+
+fn main() {
+    let line = match Cli::parse().scene {
+        Scene::M1(args) => m1::run(&args),
+        Scene::S1(args) => s1::run(&args),
+    };
+    println!("{line}");
+}

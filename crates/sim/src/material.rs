@@ -1,0 +1,112 @@
+//! What a material is: mechanical law of the solid, rheology of the melt, thermal properties (simulation.md §3.1, §5, §10.3).
+//! Plain numbers in SI; presets, names and validation for people live in the scene crate.
+
+use serde::{Deserialize, Serialize};
+
+/// Constitutive law of the elastic response.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Law {
+    /// StVK with Hencky strain; the only law that melts.
+    Hencky,
+    /// Fixed corotated; elastic bodies without phase change.
+    FixedCorotated,
+}
+
+/// Rheometer constants of a melt in simple shear: `τ = τ_0 + κ γ̇ⁿ`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Rheology {
+    /// Yield stress τ_0 \[Pa\], ≥ 0.
+    pub yield_stress: f64,
+    /// Consistency κ \[Pa·sⁿ\], > 0.
+    pub consistency: f64,
+    /// Flow index n, 0.2–2; 1 is Bingham or Newtonian.
+    pub index: f64,
+}
+
+impl Rheology {
+    /// The constants `(σ_Y, η, h)` of the return map (simulation.md §5.2): `σ_Y = √3 τ_0`, `h = n`, `η = κ 2^{(1+n)/2}`.
+    pub fn return_map_constants(&self) -> (f64, f64, f64) {
+        (3f64.sqrt() * self.yield_stress, self.consistency * 2f64.powf(0.5 * (1.0 + self.index)), self.index)
+    }
+}
+
+/// How parameters follow the liquid fraction (simulation.md §5.5).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum PhaseMode {
+    /// Parameters blend through the mushy zone (default).
+    Mushy,
+    /// Solid law below, liquid law above, with hysteresis.
+    Binary,
+    /// Always the liquid law (ablation).
+    InitMelted,
+}
+
+/// A material in SI units.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Material {
+    /// Name for messages.
+    pub name: String,
+    /// Elastic law.
+    pub law: Law,
+    /// Density ρ \[kg/m³\], > 0.
+    pub density: f64,
+    /// Shear modulus of the cold solid μ_s \[Pa\], > 0.
+    pub shear_modulus: f64,
+    /// Bulk modulus K \[Pa\], the same in both phases (simulation.md §5.3), > 0.
+    pub bulk_modulus: f64,
+    /// Uniaxial yield stress σ_Y of the solid \[Pa\]; infinite = purely elastic.
+    pub solid_yield_stress: f64,
+    /// Shear modulus of the melt μ_l \[Pa\], in (0, μ_s].
+    pub melt_shear_modulus: f64,
+    /// Flow of the melt.
+    pub melt: Rheology,
+    /// Arrhenius constant B of the melt's viscosity \[K\]; 0 = no dependence on temperature.
+    pub arrhenius_k: f64,
+    /// Loss of stiffness on the way to the solidus: E falls to `1 − softening` of its value; 0–0.9.
+    pub softening: f64,
+    /// Temperature at which the solid has its full stiffness \[K\] (start of the softening ramp).
+    pub reference_temperature: f64,
+    /// Specific heat of the solid c_s \[J/(kg·K)\], > 0.
+    pub heat_capacity_solid: f64,
+    /// Specific heat of the melt c_l \[J/(kg·K)\], > 0.
+    pub heat_capacity_liquid: f64,
+    /// Conductivity of the solid k_s \[W/(m·K)\], > 0.
+    pub conductivity_solid: f64,
+    /// Conductivity of the melt k_l \[W/(m·K)\], > 0.
+    pub conductivity_liquid: f64,
+    /// Latent heat L \[J/kg\], ≥ 0.
+    pub latent_heat: f64,
+    /// Solidus T_s \[K\]; infinite = never melts.
+    pub solidus: f64,
+    /// Liquidus T_l ≥ T_s \[K\].
+    pub liquidus: f64,
+    /// Phase rule.
+    pub phase_mode: PhaseMode,
+}
+
+impl Material {
+    /// Melting point: the middle of the mushy interval \[K\].
+    pub fn melting_point(&self) -> f64 {
+        0.5 * (self.solidus + self.liquidus)
+    }
+
+    /// Elastic wave speed of the cold solid, `√((K + 4μ/3)/ρ)` \[m/s\].
+    pub fn wave_speed(&self) -> f64 {
+        ((self.bulk_modulus + 4.0 / 3.0 * self.shear_modulus) / self.density).sqrt()
+    }
+
+    /// The same material with its thermal clock running `factor` times faster (A_th, simulation.md §3.8).
+    pub fn accelerated(&self, factor: f64) -> Self {
+        Self {
+            heat_capacity_solid: self.heat_capacity_solid / factor,
+            heat_capacity_liquid: self.heat_capacity_liquid / factor,
+            latent_heat: self.latent_heat / factor,
+            ..self.clone()
+        }
+    }
+
+    /// Shear and bulk modulus of Young's modulus `e` and Poisson's ratio `nu`.
+    pub fn moduli(e: f64, nu: f64) -> (f64, f64) {
+        (e / (2.0 * (1.0 + nu)), e / (3.0 * (1.0 - 2.0 * nu)))
+    }
+}

@@ -1,0 +1,6 @@
+//! Being written.
+
+use crate::Case;
+
+/// The cases of this file.
+pub const CASES: &[Case] = &[];
