@@ -1,0 +1,56 @@
+//! Files and folders with errors a person can act on.
+
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use crate::Failure;
+
+/// Explains an I/O error: what was being done, to which path, and what helps.
+pub fn explain(doing: &str, path: &Path, e: &io::Error) -> Failure {
+    let help = match e.kind() {
+        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => "; choose a folder you may write to with -o",
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "; free some space or choose another folder with -o, then run the same command to go on",
+        io::ErrorKind::NotFound => "; check the path",
+        _ => "",
+    };
+    Failure::Input(format!("cannot {doing} {}: {e}{help}", path.display()))
+}
+
+/// Writes a file through a temporary neighbour and a rename, so that no reader ever sees half of it; the neighbour is
+/// removed when anything fails.
+pub fn write_atomic(path: &Path, fill: impl FnOnce(&mut BufWriter<std::fs::File>) -> io::Result<()>) -> Result<(), Failure> {
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(".tmp");
+    let temporary = path.with_file_name(name);
+    let attempt = || -> io::Result<()> {
+        let mut w = BufWriter::with_capacity(1 << 20, std::fs::File::create(&temporary)?);
+        fill(&mut w)?;
+        w.flush()?;
+        std::fs::rename(&temporary, path)
+    };
+    attempt().map_err(|e| {
+        let _ = std::fs::remove_file(&temporary);
+        explain("write", path, &e)
+    })
+}
+
+/// Creates a folder with its parents.
+pub fn create_dir(path: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(path).map_err(|e| explain("create folder", path, &e))
+}
+
+/// Writes pretty JSON.
+pub fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), Failure> {
+    let text = serde_json::to_vec_pretty(value).map_err(|e| Failure::Other(e.to_string()))?;
+    write_atomic(path, |w| w.write_all(&text))
+}
+
+/// Reads JSON; `None` where the file does not exist or is not JSON (then it is as good as absent).
+pub fn read_json(path: &Path) -> Option<serde_json::Value> {
+    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+}
+
+/// `folder/stem_00042.extension`.
+pub fn frame_path(folder: &Path, stem: &str, index: usize, extension: &str) -> PathBuf {
+    folder.join(format!("{stem}_{index:05}.{extension}"))
+}
