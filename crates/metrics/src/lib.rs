@@ -1,1 +1,3 @@
 //! Ground-truth assets and the paper's claims as numbers
+
+pub mod assets;

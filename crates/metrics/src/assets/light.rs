@@ -1,0 +1,221 @@
+//! Light for the demonstration scene: a large soft key light, a sky and a warm rim, each a bundle of directions whose visibility
+//! is traced through a coarse distance volume with soft cones. Smooth everywhere, so neither photographs nor splats get grain.
+
+use megas_math::{Vec3, vec3};
+use megas_model::fibonacci_directions;
+use rayon::prelude::*;
+
+/// How a part answers light.
+#[derive(Clone, Copy, Debug)]
+pub struct Finish {
+    /// How far diffuse light reaches around the terminator, 0–1.
+    pub wrap: f32,
+    /// Strength of the mirror-like coat, 0–1.
+    pub gloss: f32,
+    /// How much light leaks through shadowed parts (ice cream: a lot), 0–1.
+    pub translucency: f32,
+}
+
+struct Ray {
+    direction: Vec3<f32>,
+    radiance: [f32; 3],
+    /// Tangent of the half-angle of the cone that the direction stands for.
+    spread: f32,
+}
+
+/// What arrives at a point: per direction the share of light that is not blocked, and the normal used for soft diffuse light.
+pub struct Received {
+    visible: Vec<f32>,
+    smooth: Vec3<f32>,
+}
+
+/// The lights and the distance volume they are traced through.
+pub struct Light {
+    rays: Vec<Ray>,
+    keys: usize,
+    origin: Vec3<f32>,
+    count: [usize; 3],
+    distance: Vec<f32>,
+    table: fn(Vec3<f32>) -> f32,
+}
+
+const CELL: f32 = 0.02;
+/// Empty space kept around the object so that distances near the border are plain.
+const MARGIN: f32 = 0.16;
+const SKY: usize = 56;
+const KEY: Vec3<f32> = [-0.52, -0.50, 0.69];
+const RIM_LIGHT: Vec3<f32> = [0.55, 0.72, 0.42];
+
+impl Light {
+    /// A light without a volume, to be replaced.
+    pub fn empty() -> Self {
+        Self { rays: Vec::new(), keys: 0, origin: [0.0; 3], count: [0; 3], distance: Vec::new(), table: |_| f32::INFINITY }
+    }
+
+    /// Samples the object's distance inside `bounds`; the table is evaluated directly.
+    pub fn new(bounds: (Vec3<f32>, Vec3<f32>), sdf: impl Fn(Vec3<f32>) -> f32 + Sync, table: fn(Vec3<f32>) -> f32) -> Self {
+        let origin = bounds.0.map(|v| v - MARGIN);
+        let count: [usize; 3] = std::array::from_fn(|a| ((bounds.1[a] + MARGIN - origin[a]) / CELL).ceil() as usize + 1);
+        let distance = (0..count[2] * count[1])
+            .into_par_iter()
+            .flat_map_iter(|row| {
+                let (j, k) = (row % count[1], row / count[1]);
+                let sdf = &sdf;
+                (0..count[0]).map(move |i| sdf(vec3::add_scaled(origin, [i as f32, j as f32, k as f32], CELL)))
+            })
+            .collect();
+        let mut rays = Vec::new();
+        lamp(&mut rays, KEY, 0.30, 12, [2.55, 2.42, 2.22]);
+        let keys = rays.len();
+        lamp(&mut rays, RIM_LIGHT, 0.25, 6, [0.62, 0.66, 0.74]);
+        for d in fibonacci_directions(SKY) {
+            let up = 0.5 + 0.5 * d[2];
+            let sky = vec3::lerp([0.46, 0.43, 0.41], [0.86, 0.91, 1.0], up);
+            rays.push(Ray { direction: d, radiance: sky.map(|v| v * 4.0 / SKY as f32 * 0.62), spread: 0.26 });
+        }
+        Self { rays, keys, origin, count, distance, table }
+    }
+
+    /// Distance of the object from the volume; outside of it a lower bound.
+    fn sample(&self, x: Vec3<f32>) -> f32 {
+        let g: Vec3<f32> = std::array::from_fn(|a| (x[a] - self.origin[a]) / CELL);
+        let c: Vec3<f32> = std::array::from_fn(|a| g[a].clamp(0.0, (self.count[a] - 2) as f32 + 0.999));
+        let out = vec3::norm(vec3::sub(g, c)) * CELL;
+        let i = c.map(|v| v as usize);
+        let f: Vec3<f32> = std::array::from_fn(|a| c[a] - i[a] as f32);
+        let (sy, sz) = (self.count[0], self.count[0] * self.count[1]);
+        let at = i[0] + i[1] * sy + i[2] * sz;
+        let d = &self.distance;
+        let x0 = |o: usize| d[at + o] + (d[at + o + 1] - d[at + o]) * f[0];
+        let y0 = |o: usize| x0(o) + (x0(o + sy) - x0(o)) * f[1];
+        y0(0) + (y0(sz) - y0(0)) * f[2] + out
+    }
+
+    /// Share of the cone along `d` that leaves the scene.
+    fn visibility(&self, x: Vec3<f32>, d: Vec3<f32>, spread: f32) -> f32 {
+        let mut t = 0.035;
+        let mut seen = 1.0f32;
+        while t < 2.4 {
+            let p = vec3::add_scaled(x, d, t);
+            let object = self.sample(p);
+            let h = object.min((self.table)(p));
+            seen = seen.min(0.5 + 0.5 * h / (spread * t));
+            if seen <= 0.0 {
+                return 0.0;
+            }
+            if p[2] > 1.7 && d[2] > 0.0 {
+                break;
+            }
+            t += (h * 0.9).clamp(0.03, 0.25);
+        }
+        let s = seen.clamp(0.0, 1.0);
+        s * s * (3.0 - 2.0 * s)
+    }
+
+    /// What arrives at the surface point `x` with normal `n`.
+    pub fn receive(&self, x: Vec3<f32>, n: Vec3<f32>) -> Received {
+        let from = vec3::add_scaled(x, n, 0.012);
+        let visible = self
+            .rays
+            .iter()
+            .map(|r| if vec3::dot(r.direction, n) > -0.35 { self.visibility(from, r.direction, r.spread) } else { 0.0 })
+            .collect();
+        // Translucent matter blurs its own relief: a normal taken over a few millimetres, for the object only.
+        let h = 0.03;
+        let g: Vec3<f32> = std::array::from_fn(|a| {
+            let (mut p, mut m) = (x, x);
+            p[a] += h;
+            m[a] -= h;
+            self.sample(p) - self.sample(m)
+        });
+        let s = vec3::normalize_or(g, n);
+        let smooth = if self.sample(x) < 0.03 && vec3::dot(s, n) > 0.0 { s } else { n };
+        Received { visible, smooth }
+    }
+
+    /// Colour of a surface with normal `n` and sRGB colour `albedo` seen along `d` (from the camera), display-referred.
+    pub fn shade(&self, lit: &Received, n: Vec3<f32>, d: Vec3<f32>, albedo: [f32; 3], finish: Finish) -> [f32; 3] {
+        let base = albedo.map(to_linear);
+        let mut direct = [0.0f32; 3];
+        let mut blocked = [0.0f32; 3];
+        // Red travels farther than blue inside food: per channel another blend of sharp and smooth normal.
+        let soft = [0.75, 0.55, 0.40].map(|k| k * finish.translucency);
+        for (r, &v) in self.rays.iter().zip(&lit.visible) {
+            let (sharp, smooth) = (vec3::dot(n, r.direction), vec3::dot(lit.smooth, r.direction));
+            for c in 0..3 {
+                let cosine = sharp + (smooth - sharp) * soft[c];
+                let w = ((cosine + finish.wrap) / (1.0 + finish.wrap)).max(0.0) * r.radiance[c];
+                direct[c] += w * v;
+                blocked[c] += w * (1.0 - v);
+            }
+        }
+        let mut out: [f32; 3] = std::array::from_fn(|c| {
+            // Light that hits a neighbour first arrives after one more bounce off much the same colour.
+            let bounce = 0.16 + 0.34 * base[c] + 0.25 * finish.translucency * base[c];
+            base[c] * (direct[c] + bounce * blocked[c]) / std::f32::consts::PI
+        });
+        if finish.gloss > 0.0 {
+            let s = self.reflection(lit, n, d);
+            for c in 0..3 {
+                out[c] += finish.gloss * s[c];
+            }
+        }
+        out.map(to_display)
+    }
+
+    /// Light mirrored by a clear coat: the lamps as a soft box, the sky as a gradient, Fresnel by Schlick.
+    fn reflection(&self, lit: &Received, n: Vec3<f32>, d: Vec3<f32>) -> [f32; 3] {
+        let cosine = -vec3::dot(n, d);
+        if cosine <= 0.0 {
+            return [0.0; 3];
+        }
+        let m = vec3::add_scaled(d, n, 2.0 * cosine);
+        let fresnel = 0.045 + 0.955 * (1.0 - cosine).powi(5) * 0.6;
+        let mut s = [0.0; 3];
+        for (k, (r, &v)) in self.rays.iter().zip(&lit.visible).enumerate() {
+            let a = vec3::dot(m, r.direction);
+            if a <= 0.0 {
+                continue;
+            }
+            let (power, gain) = if k < self.keys + 6 { (90.0, 14.0) } else { (6.0, 1.1) };
+            let lobe = a.powf(power) * gain * v;
+            for c in 0..3 {
+                s[c] += fresnel * lobe * r.radiance[c];
+            }
+        }
+        s
+    }
+
+    /// Colour of newly exposed material under the average light.
+    pub fn interior(&self, albedo: [f32; 3]) -> [f32; 3] {
+        let mean: [f32; 3] = std::array::from_fn(|c| self.rays.iter().map(|r| r.radiance[c]).sum::<f32>() * 0.36);
+        let base = albedo.map(to_linear);
+        std::array::from_fn(|c| to_display(base[c] * mean[c] / std::f32::consts::PI))
+    }
+}
+
+/// Adds a round lamp: `count` directions on a disc of angular radius `size` around `towards`, with the total `power`.
+fn lamp(rays: &mut Vec<Ray>, towards: Vec3<f32>, size: f32, count: usize, power: [f32; 3]) {
+    let axis = vec3::normalize_or(towards, [0.0, 0.0, 1.0]);
+    let (a, b) = vec3::frame_from_normal(axis);
+    for i in 0..count {
+        let r = size * ((i as f32 + 0.5) / count as f32).sqrt();
+        let (s, c) = (2.399_963 * i as f32).sin_cos();
+        let d = vec3::add_scaled(vec3::add_scaled(axis, a, r * c), b, r * s);
+        let direction = vec3::normalize_or(d, axis);
+        rays.push(Ray { direction, radiance: power.map(|p| p / count as f32), spread: 0.12 });
+    }
+}
+
+/// sRGB → linear light.
+pub fn to_linear(v: f32) -> f32 {
+    if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Linear light → display: a soft shoulder above 0.6, then the sRGB curve.
+pub fn to_display(v: f32) -> f32 {
+    const KNEE: f32 = 0.6;
+    let v = v.max(0.0);
+    let v = if v > KNEE { KNEE + (1.0 - KNEE) * (1.0 - (-(v - KNEE) / (1.0 - KNEE)).exp()) } else { v };
+    if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}

@@ -1,0 +1,185 @@
+//! Surface splats placed directly on the ground truth, as a perfect reconstruction would give them.
+
+use megas_math::{Vec3, mat3, sh, vec3};
+use megas_model::{Splats, fibonacci_directions, logit};
+use rayon::prelude::*;
+
+use super::{
+    blue_noise::{SurfacePoint, blue_noise},
+    shapes::disc_rotation,
+    solid::{Solid, gradient},
+    sundae::{Part, Sundae},
+    sundae_colour,
+};
+
+/// How [`Sundae::sprinkle`] covers the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sprinkle {
+    /// Least distance of two splats on the object, scene units; the count grows with its inverse square (0.011: about 60 000).
+    pub spacing: f32,
+    /// The same on the table.
+    pub table_spacing: f32,
+    /// S¹ = S² in units of the spacing (splatting.md §5.5).
+    pub size: f32,
+    /// Opacity of every splat, below 1.
+    pub opacity: f32,
+    /// Degree of the spherical harmonics, 0–3; gloss needs at least 2.
+    pub sh_degree: u8,
+    /// Random seed.
+    pub seed: u64,
+}
+
+impl Default for Sprinkle {
+    fn default() -> Self {
+        Self { spacing: 0.0105, table_spacing: 0.0155, size: 0.85, opacity: 0.97, sh_degree: 2, seed: 1 }
+    }
+}
+
+/// One of the two bodies of the scene.
+struct Body<'a> {
+    scene: &'a Sundae,
+    table: bool,
+}
+
+impl Solid for Body<'_> {
+    fn sdf(&self, x: Vec3<f32>) -> f32 {
+        if self.table { self.scene.table_sdf(x) } else { self.scene.object_sdf(x) }
+    }
+    fn bounds(&self) -> (Vec3<f32>, Vec3<f32>) {
+        if self.table { self.scene.table_bounds() } else { self.scene.object_bounds() }
+    }
+    fn albedo(&self, x: Vec3<f32>) -> [f32; 3] {
+        self.scene.albedo(x)
+    }
+}
+
+impl Sundae {
+    /// Covers object (closed, bottom included) and table with one layer of discs: oriented to the outside, coloured as
+    /// photographs show them, `object_id` = [`Part`]. The object comes first, then the table.
+    pub fn sprinkle(&self, settings: &Sprinkle) -> Splats {
+        let fit = Fit::new(settings.sh_degree);
+        let mut out = Splats { sh_degree: settings.sh_degree, ..Splats::default() };
+        for table in [false, true] {
+            let body = Body { scene: self, table };
+            let spacing = if table { settings.table_spacing } else { settings.spacing };
+            let points = blue_noise(&body, spacing, settings.seed + u64::from(table));
+            let dots: Vec<Dot> = points.par_iter().map(|p| self.dot(&body, p, spacing * settings.size, &fit)).collect();
+            let logit = logit(settings.opacity);
+            let s = (spacing * settings.size).ln();
+            for (p, dot) in points.iter().zip(&dots) {
+                out.push(p.position, [s, s, s - 5f32.ln()], disc_rotation(p.normal), logit, &dot.sh);
+                let last = out.len() - 1;
+                out.object_id[last] = dot.part as u16;
+                out.normal_sign[last] = 1;
+            }
+        }
+        out
+    }
+
+    /// Part and colour of a disc of standard deviation `s`: albedo and relief averaged over the disc, light taken at its centre.
+    fn dot(&self, body: &Body, p: &SurfacePoint, s: f32, fit: &Fit) -> Dot {
+        let part = if body.table { Part::Table } else { self.part_on_surface(p.position) };
+        let finish = sundae_colour::finish(part);
+        let lit = self.light().receive(p.position, p.normal);
+        let (a, b) = vec3::frame_from_normal(p.normal);
+        let taps: [(Vec3<f32>, [f32; 3]); 4] = std::array::from_fn(|k| {
+            let (u, v) = [(0.6, 0.25), (-0.25, 0.6), (-0.6, -0.25), (0.25, -0.6)][k];
+            let x = vec3::add_scaled(vec3::add_scaled(p.position, a, u * s), b, v * s);
+            let n = gradient(|x| body.sdf(x), x, 1e-3);
+            (n, sundae_colour::albedo(self, x, part))
+        });
+        let colour = |d: Vec3<f32>| {
+            let sum = taps.iter().fold([0.0; 3], |sum, &(n, c)| vec3::add(sum, self.light().shade(&lit, n, d, c, finish)));
+            vec3::scale(sum, 0.25)
+        };
+        let view_dependent = finish.gloss > 0.2 && fit.degree > 0;
+        let coefficients = if view_dependent {
+            fit.apply(p.normal, colour)
+        } else {
+            let mut sh = vec![0.0; sh::coefficients(fit.degree) * 3];
+            let rgb = colour(vec3::scale(p.normal, -1.0));
+            sh[..3].copy_from_slice(&rgb.map(sh::dc_from_rgb));
+            sh
+        };
+        Dot { part, sh: coefficients }
+    }
+
+    fn part_on_surface(&self, x: Vec3<f32>) -> Part {
+        match self.part(x) {
+            // The bowl's underside touches the table top.
+            Part::Table => Part::Bowl,
+            other => other,
+        }
+    }
+}
+
+struct Dot {
+    part: Part,
+    sh: Vec<f32>,
+}
+
+/// Least-squares fit of spherical harmonics to a colour known on the front side of a disc, in the frame of its normal.
+struct Fit {
+    degree: u8,
+    directions: Vec<Vec3<f32>>,
+    /// Coefficients = `inverse` (n × directions) · values.
+    inverse: Vec<f64>,
+}
+
+impl Fit {
+    /// Directions are those from the camera; the back is asked, weakly, for the mean of the front.
+    fn new(degree: u8) -> Self {
+        let directions = fibonacci_directions(64);
+        let n = sh::coefficients(degree);
+        let basis: Vec<[f64; 16]> = directions.iter().map(|d| sh::basis(d.map(f64::from))).collect();
+        let weight = |d: &Vec3<f32>| if d[2] < -0.1 { 1.0 } else { 0.08 };
+        let width = n + directions.len();
+        let mut m = vec![0.0; n * width];
+        for r in 0..n {
+            for c in 0..n {
+                m[r * width + c] = basis.iter().zip(&directions).map(|(y, d)| weight(d) * y[r] * y[c]).sum();
+            }
+            for (k, d) in directions.iter().enumerate() {
+                m[r * width + n + k] = weight(d) * basis[k][r];
+            }
+        }
+        // Gauss–Jordan on a small positive-definite matrix needs no pivoting.
+        for i in 0..n {
+            let p = m[i * width + i];
+            m[i * width..(i + 1) * width].iter_mut().for_each(|v| *v /= p);
+            for r in (0..n).filter(|&r| r != i) {
+                let f = m[r * width + i];
+                for c in 0..width {
+                    m[r * width + c] -= f * m[i * width + c];
+                }
+            }
+        }
+        let inverse = (0..n).flat_map(|i| m[i * width + n..(i + 1) * width].to_vec()).collect();
+        Self { degree, directions, inverse }
+    }
+
+    fn apply(&self, normal: Vec3<f32>, colour: impl Fn(Vec3<f32>) -> [f32; 3]) -> Vec<f32> {
+        let (a, b) = vec3::frame_from_normal(normal);
+        let frame = mat3::from_columns(a, b, normal);
+        let mut values: Vec<[f32; 3]> = vec![[0.0; 3]; self.directions.len()];
+        let (mut mean, mut front) = ([0.0; 3], 0.0);
+        for (v, d) in values.iter_mut().zip(&self.directions).filter(|(_, d)| d[2] < -0.1) {
+            *v = colour(mat3::mul_vec(frame, *d));
+            mean = vec3::add(mean, *v);
+            front += 1.0;
+        }
+        for (v, _) in values.iter_mut().zip(&self.directions).filter(|(_, d)| d[2] >= -0.1) {
+            *v = vec3::scale(mean, 1.0 / front);
+        }
+        let n = sh::coefficients(self.degree);
+        let mut out = vec![0.0f32; n * 3];
+        for i in 0..n {
+            let row = &self.inverse[i * self.directions.len()..(i + 1) * self.directions.len()];
+            for c in 0..3 {
+                out[i * 3 + c] = row.iter().zip(&values).map(|(w, v)| w * f64::from(v[c] - 0.5)).sum::<f64>() as f32;
+            }
+        }
+        sh::rotate(self.degree, &mut out, mat3::cast(frame));
+        out
+    }
+}

@@ -1,0 +1,354 @@
+//! Three scoops of ice cream with chocolate sauce, a cherry and a wafer in a waffle bowl on a small round wooden table: the
+//! geometry. One scene unit is 0.1 m; the object stands on the table top at z = 0 and is about 1.5 units tall.
+//!
+//! The object is one closed solid: the bowl is filled with ice cream, so the union has no hidden cavities, and [`Sundae::part`]
+//! tells which material sits where. The bowl's wall is a good one and a half simulation cells at 24 cells per object.
+
+use megas_math::{Vec3, rng::hash01, vec3};
+
+use super::{
+    light::Light,
+    noise::{noise_at, smoothstep},
+    primitives::{RoundCone, ball, disc, smax, smin},
+    solid::{Solid, gradient},
+    sundae_colour,
+};
+
+/// Real size of one scene unit of the sundae \[m\].
+pub const METRES_PER_UNIT: f32 = 0.1;
+/// Height of the table's top: the support plane under the object.
+pub const TABLE_HEIGHT: f32 = 0.0;
+/// Radius of the table top.
+pub const TABLE_RADIUS: f32 = 1.42;
+
+/// Thickness of the bowl's wall.
+const WALL: f32 = 0.10;
+/// Mean height of the bowl's rim.
+const RIM: f32 = 0.50;
+const SCOOP_RADIUS: f32 = 0.385;
+const SCOOPS: [Vec3<f32>; 3] = [[-0.31, -0.17, 0.76], [0.32, -0.13, 0.74], [-0.01, 0.30, 0.86]];
+const CHERRY: (Vec3<f32>, f32) = ([-0.03, 0.27, 1.335], 0.118);
+const WAFER: (Vec3<f32>, Vec3<f32>, f32) = ([0.17, 0.16, 0.60], [0.50, 0.44, 1.50], 0.064);
+
+/// The things of the scene; the number is the `object_id` of their splats, 0 being the static background.
+#[repr(u8)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Part {
+    /// The wooden table.
+    Table = 0,
+    /// The waffle bowl.
+    Bowl = 1,
+    /// The pink scoop.
+    Strawberry = 2,
+    /// The green scoop.
+    Pistachio = 3,
+    /// The cream-coloured scoop.
+    Vanilla = 4,
+    /// Chocolate sauce.
+    Sauce = 5,
+    /// The rolled wafer.
+    Wafer = 6,
+    /// The cherry.
+    Cherry = 7,
+}
+
+impl Part {
+    /// All parts by number.
+    pub const ALL: [Self; 8] =
+        [Self::Table, Self::Bowl, Self::Strawberry, Self::Pistachio, Self::Vanilla, Self::Sauce, Self::Wafer, Self::Cherry];
+
+    /// Lower-case name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Table => "table",
+            Self::Bowl => "bowl",
+            Self::Strawberry => "strawberry",
+            Self::Pistachio => "pistachio",
+            Self::Vanilla => "vanilla",
+            Self::Sauce => "sauce",
+            Self::Wafer => "wafer",
+            Self::Cherry => "cherry",
+        }
+    }
+
+    /// True for the parts that are ice cream.
+    pub fn is_ice_cream(self) -> bool {
+        matches!(self, Self::Strawberry | Self::Pistachio | Self::Vanilla)
+    }
+}
+
+/// The embedded scene. Building it computes the light volume (a fraction of a second); everything else is a pure function.
+pub struct Sundae {
+    sauce: [Vec<RoundCone>; 3],
+    wafer: RoundCone,
+    light: Light,
+}
+
+impl Default for Sundae {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Sundae {
+    /// Builds the scene.
+    pub fn new() -> Self {
+        let sauce = std::array::from_fn(drips);
+        let wafer = RoundCone::new(WAFER.0, WAFER.1, WAFER.2, WAFER.2);
+        let mut s = Self { sauce, wafer, light: Light::empty() };
+        s.light = Light::new(s.object_bounds(), |x| s.object_sdf(x), table);
+        s
+    }
+
+    /// Box of the object without the table.
+    pub fn object_bounds(&self) -> (Vec3<f32>, Vec3<f32>) {
+        ([-0.86, -0.86, 0.0], [0.86, 0.86, 1.58])
+    }
+
+    /// Box of the table.
+    pub fn table_bounds(&self) -> (Vec3<f32>, Vec3<f32>) {
+        ([-TABLE_RADIUS, -TABLE_RADIUS, -0.56], [TABLE_RADIUS, TABLE_RADIUS, TABLE_HEIGHT])
+    }
+
+    /// Signed distance of the object alone (everything that stands on the table).
+    pub fn object_sdf(&self, x: Vec3<f32>) -> f32 {
+        let mut d = bowl(x).min(fill(x)).min(self.wafer_sdf(x)).min(ball(x, CHERRY.0, CHERRY.1));
+        for k in 0..3 {
+            d = d.min(scoop(x, k)).min(self.sauce_sdf(x, k));
+        }
+        d
+    }
+
+    /// Signed distance of the table alone.
+    pub fn table_sdf(&self, x: Vec3<f32>) -> f32 {
+        table(x)
+    }
+
+    /// Signed distance of one part. The scoops share the ice cream that fills the bowl below them.
+    pub fn part_sdf(&self, x: Vec3<f32>, part: Part) -> f32 {
+        match part {
+            Part::Table => table(x),
+            Part::Bowl => bowl(x),
+            Part::Strawberry => scoop(x, 0),
+            Part::Pistachio => scoop(x, 1),
+            Part::Vanilla => scoop(x, 2),
+            Part::Sauce => (0..3).fold(f32::INFINITY, |d, k| d.min(self.sauce_sdf(x, k))),
+            Part::Wafer => self.wafer_sdf(x),
+            Part::Cherry => ball(x, CHERRY.0, CHERRY.1),
+        }
+    }
+
+    /// The part a point belongs to: inside, the material that fills it (cherry, wafer, bowl and sauce displace ice cream); at
+    /// and beyond the surface, the nearest one.
+    pub fn part(&self, x: Vec3<f32>) -> Part {
+        // A point this far inside a part belongs to it whatever else claims it; nearer than that the surface decides.
+        const INSIDE: f32 = -0.004;
+        let mut nearest = (f32::INFINITY, Part::Table);
+        for part in [Part::Cherry, Part::Wafer, Part::Bowl, Part::Sauce, Part::Table] {
+            let d = self.part_sdf(x, part);
+            if d < INSIDE {
+                return part;
+            }
+            if d < nearest.0 {
+                nearest = (d, part);
+            }
+        }
+        let scoops = [Part::Strawberry, Part::Pistachio, Part::Vanilla].map(|p| (self.part_sdf(x, p), p));
+        let best = scoops.iter().copied().fold((f32::INFINITY, Part::Vanilla), |a, b| if b.0 < a.0 { b } else { a });
+        if best.0.min(fill(x)) < nearest.0 { best.1 } else { nearest.1 }
+    }
+
+    /// Outward normal of the object alone.
+    pub fn object_normal(&self, x: Vec3<f32>) -> Vec3<f32> {
+        gradient(|p| self.object_sdf(p), x, 1e-3)
+    }
+
+    /// Colour for material that a cut or a melt exposes: the solid colour under the scene's average light, so that an opened
+    /// interior looks like ice cream; display-referred sRGB.
+    pub fn interior_colour(&self, x: Vec3<f32>) -> [f32; 3] {
+        self.light.interior(sundae_colour::albedo(self, x, self.part(x)))
+    }
+
+    /// The light of the scene.
+    pub(super) fn light(&self) -> &Light {
+        &self.light
+    }
+
+    fn wafer_sdf(&self, x: Vec3<f32>) -> f32 {
+        let d = self.wafer.sdf(x);
+        // A flat cut at the upper end, with a shallow hole as of a rolled wafer.
+        let axis = vec3::normalize_or(vec3::sub(WAFER.1, WAFER.0), [0.0, 0.0, 1.0]);
+        let along = vec3::dot(vec3::sub(x, WAFER.1), axis);
+        smax(d, along, 0.02)
+    }
+
+    fn sauce_sdf(&self, x: Vec3<f32>, k: usize) -> f32 {
+        let c = SCOOPS[k];
+        let bound = ball(x, c, SCOOP_RADIUS + 0.04);
+        if bound > 0.12 {
+            return bound;
+        }
+        // A lens on top of the scoop, slightly lumpy, and the tongues that run down from it.
+        let p = vec3::sub(x, c);
+        let lens = vec3::norm([p[0] * 1.02, p[1] * 1.02, p[2] - 0.125]) - 0.292;
+        let mut d = lens;
+        for s in &self.sauce[k] {
+            d = smin(d, s.sdf(x), 0.07);
+        }
+        d + 0.006 * noise_at(x, 7.0, 3.0 + k as f32)
+    }
+}
+
+impl Solid for Sundae {
+    fn sdf(&self, x: Vec3<f32>) -> f32 {
+        self.object_sdf(x).min(table(x))
+    }
+
+    fn bounds(&self) -> (Vec3<f32>, Vec3<f32>) {
+        let (o, t) = (self.object_bounds(), self.table_bounds());
+        (vec3::min(o.0, t.0), vec3::max(o.1, t.1))
+    }
+
+    fn albedo(&self, x: Vec3<f32>) -> [f32; 3] {
+        sundae_colour::albedo(self, x, self.part(x))
+    }
+
+    fn shade(&self, x: Vec3<f32>, n: Vec3<f32>, d: Vec3<f32>) -> [f32; 3] {
+        let part = self.part(x);
+        let lit = self.light.receive(x, n);
+        self.light.shade(&lit, n, d, sundae_colour::albedo(self, x, part), sundae_colour::finish(part))
+    }
+}
+
+/// The tongues of sauce on scoop `k`: arcs over the scoop that start in the lens and end in a drop.
+fn drips(k: usize) -> Vec<RoundCone> {
+    const COUNT: u64 = 8;
+    let mut out = Vec::new();
+    for i in 0..COUNT {
+        let h = |purpose: u64| hash01(7 + k as u64, i, purpose) as f32;
+        let azimuth = std::f32::consts::TAU * (i as f32 + 0.55 * h(1)) / COUNT as f32;
+        let end = 0.80 + 0.75 * h(2) * h(2) + 0.25 * h(5);
+        let lean = 0.25 * (h(3) - 0.5);
+        let width = 0.036 + 0.014 * h(4);
+        let at = |t: f32| {
+            let theta = 0.45 + (end - 0.45) * t;
+            let phi = azimuth + lean * t * t;
+            let r = SCOOP_RADIUS + 0.004;
+            let d = [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()];
+            vec3::add_scaled(SCOOPS[k], d, r)
+        };
+        let radius = |t: f32| width * (1.25 - 0.55 * t + 0.45 * t * t * t);
+        for s in 0..3 {
+            let (a, b) = (s as f32 / 3.0, (s + 1) as f32 / 3.0);
+            out.push(RoundCone::new(at(a), at(b), radius(a), radius(b)));
+        }
+    }
+    out
+}
+
+/// One scoop: a ball with the ragged skirt a scoop leaves around its foot, and an icy, dragged surface.
+fn scoop(x: Vec3<f32>, k: usize) -> f32 {
+    let p = vec3::sub(x, SCOOPS[k]);
+    let seed = k as f32;
+    let r = vec3::norm(p);
+    let far = r - (SCOOP_RADIUS + 0.09);
+    if far > 0.3 {
+        return far;
+    }
+    let rho = (p[0] * p[0] + p[1] * p[1]).sqrt();
+    let wave = noise_at(p, 3.1, 1.0 + seed);
+    let q = [rho - 0.355 - 0.025 * wave, p[2] + 0.19 + 0.06 * noise_at(p, 2.3, 2.0 + seed)];
+    let skirt = (q[0] * q[0] + 1.6 * q[1] * q[1]).sqrt() - 0.075 - 0.02 * wave;
+    let base = smin(r - SCOOP_RADIUS, skirt, 0.045);
+    let near = smoothstep(0.13, 0.04, base.abs());
+    if near <= 0.0 {
+        return base;
+    }
+    // The scoop is dragged through the tub along one direction: fine furrows across it, deeper towards the foot.
+    let tilt = 0.5 * seed - 0.4;
+    let drag = [p[0] * tilt.cos() + p[2] * tilt.sin(), p[1], p[2] * tilt.cos() - p[0] * tilt.sin()];
+    let warp = 0.35 * noise_at(p, 4.0, 5.0 + seed);
+    let foot = smoothstep(0.05, -0.22, p[2]);
+    let furrow = noise_at([drag[0] * 0.22, drag[1] * 0.22, drag[2] + 0.1 * warp], 21.0, 6.0 + seed);
+    let lumps = noise_at(p, 5.5, 7.0 + seed);
+    let grain = noise_at(p, 24.0, 8.0 + seed);
+    let fine = noise_at(p, 52.0, 9.0 + seed);
+    let pits = smoothstep(0.22, 0.55, noise_at(p, 15.0, 10.0 + seed));
+    let amount = 0.012 * lumps + (0.008 + 0.012 * foot) * furrow + (0.004 + 0.010 * foot) * grain + 0.0028 * fine - 0.012 * pits;
+    base - near * amount
+}
+
+/// Radius of the bowl's outside at height `z` and azimuth `phi`, and its slope dR/dz.
+fn bowl_radius(z: f32, phi: f32) -> (f32, f32) {
+    let t = (z / RIM).clamp(0.0, 1.25);
+    let u = (1.0 - t).max(0.0);
+    let flute = 0.022 * t * t * (6.0 * phi + 0.4).cos();
+    (0.37 + 0.36 * (1.0 - u.powf(1.3)) + 0.10 * (t - 1.0).max(0.0) + flute, 0.36 * 1.3 / RIM * u.powf(0.3))
+}
+
+/// Relief of the waffle: 1 on the ridges, 0 in the dimples (diamonds in azimuth and height).
+pub(super) fn waffle(x: Vec3<f32>) -> f32 {
+    let phi = x[1].atan2(x[0]);
+    let around = phi * (20.0 / std::f32::consts::TAU);
+    let up = (x[2] + 0.25 * x[2] * x[2]) * 5.4;
+    let line = |v: f32| 2.0 * (v - v.floor() - 0.5).abs();
+    let ridge = line(around + up).max(line(around - up));
+    smoothstep(0.66, 0.86, ridge)
+}
+
+/// Distance of the bowl's outer side, positive outside; its relief included near the surface.
+fn bowl_side(x: Vec3<f32>) -> f32 {
+    let r = (x[0] * x[0] + x[1] * x[1]).sqrt();
+    let phi = x[1].atan2(x[0]);
+    let (radius, slope) = bowl_radius(x[2], phi);
+    let side = (r - radius) / (1.0 + slope * slope).sqrt();
+    if side.abs() > 0.05 {
+        return side;
+    }
+    let fade = smoothstep(0.05, 0.02, side.abs()) * smoothstep(0.0, 0.06, x[2]) * smoothstep(RIM + 0.02, RIM - 0.06, x[2]);
+    side + fade * (0.016 * (1.0 - waffle(x)) + 0.004 * noise_at(x, 14.0, 21.0))
+}
+
+fn rim(phi: f32) -> f32 {
+    RIM + 0.022 * (6.0 * phi + 0.4).cos() + 0.012 * (2.0 * phi + 1.0).sin()
+}
+
+/// The waffle bowl: a wall of constant thickness with a fluted, rounded rim and a solid floor.
+fn bowl(x: Vec3<f32>) -> f32 {
+    let far = disc(x, 0.80, 0.0, RIM + 0.08, 0.02);
+    if far > 0.15 {
+        return far;
+    }
+    let side = bowl_side(x);
+    let phi = x[1].atan2(x[0]);
+    let wall = (side + 0.5 * WALL).abs() - 0.5 * WALL;
+    let wall = smax(wall, x[2] - rim(phi), 0.07);
+    let floor = side.max(x[2] - 0.12);
+    smax(smin(wall, floor, 0.04), -x[2], 0.03)
+}
+
+/// The ice cream that fills the bowl under and between the scoops.
+fn fill(x: Vec3<f32>) -> f32 {
+    let far = disc(x, 0.75, 0.0, RIM, 0.02);
+    if far > 0.15 {
+        return far;
+    }
+    let top = x[2] - 0.43 - 0.02 * noise_at(x, 5.0, 13.0);
+    (bowl_side(x) + 0.8 * WALL).max(top).max(0.06 - x[2])
+}
+
+/// The table: a round top on a turned foot.
+fn table(x: Vec3<f32>) -> f32 {
+    let top = disc(x, TABLE_RADIUS, -0.13, TABLE_HEIGHT, 0.045);
+    let r = (x[0] * x[0] + x[1] * x[1]).sqrt();
+    let z = x[2];
+    if z > 0.0 {
+        return top;
+    }
+    // Stem: narrow waist between a flared neck and a flared foot.
+    let t = ((z + 0.13) / -0.37).clamp(0.0, 1.0);
+    let waist = 0.17 + 0.30 * (2.0 * t - 1.0).abs().powi(3);
+    let stem = ((r - waist) * 0.6).max(-0.50 - z).max(z + 0.10);
+    let foot = disc(x, 0.72, -0.56, -0.47, 0.035);
+    smin(smin(top, stem, 0.06), foot, 0.06)
+}
