@@ -29,8 +29,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let clock = std::time::Instant::now();
     let scene = Sundae::new();
     println!("built in {:.2} s", clock.elapsed().as_secs_f32());
-    let target = [0.0, 0.0, 0.52];
-    let eye = [5.0 * az.sin() * el.cos(), -5.0 * az.cos() * el.cos(), target[2] + 5.0 * el.sin()];
+    let target = [0.0, 0.0, 0.58];
+    let eye = [4.6 * az.sin() * el.cos(), -4.6 * az.cos() * el.cos(), target[2] + 4.6 * el.sin()];
     let camera = Camera::look_at(eye, target, [0.0, 0.0, 1.0], 33f32.to_radians(), width, width * 3 / 4);
     let clock = std::time::Instant::now();
     let view = photograph(&scene, &camera, 2, "sundae");

@@ -5,6 +5,8 @@ use megas_math::{Vec3, vec3};
 use megas_model::fibonacci_directions;
 use rayon::prelude::*;
 
+use super::noise::smoothstep;
+
 /// How a part answers light.
 #[derive(Clone, Copy, Debug)]
 pub struct Finish {
@@ -25,35 +27,44 @@ struct Ray {
 
 /// What arrives at a point: per direction the share of light that is not blocked, and the normal used for soft diffuse light.
 pub struct Received {
-    visible: Vec<f32>,
+    visible: [f32; RAYS],
     smooth: Vec3<f32>,
 }
 
 /// The lights and the distance volume they are traced through.
 pub struct Light {
     rays: Vec<Ray>,
-    keys: usize,
     origin: Vec3<f32>,
     count: [usize; 3],
     distance: Vec<f32>,
     table: fn(Vec3<f32>) -> f32,
+    /// Height and radius of the table top.
+    table_top: (f32, f32),
 }
 
 const CELL: f32 = 0.02;
 /// Empty space kept around the object so that distances near the border are plain.
 const MARGIN: f32 = 0.16;
 const SKY: usize = 56;
+const KEY_RAYS: usize = 12;
+const RIM_RAYS: usize = 6;
+const RAYS: usize = KEY_RAYS + RIM_RAYS + SKY;
 const KEY: Vec3<f32> = [-0.52, -0.50, 0.69];
 const RIM_LIGHT: Vec3<f32> = [0.55, 0.72, 0.42];
 
 impl Light {
     /// A light without a volume, to be replaced.
     pub fn empty() -> Self {
-        Self { rays: Vec::new(), keys: 0, origin: [0.0; 3], count: [0; 3], distance: Vec::new(), table: |_| f32::INFINITY }
+        Self { rays: Vec::new(), origin: [0.0; 3], count: [0; 3], distance: Vec::new(), table: |_| f32::INFINITY, table_top: (0.0, 0.0) }
     }
 
     /// Samples the object's distance inside `bounds`; the table is evaluated directly.
-    pub fn new(bounds: (Vec3<f32>, Vec3<f32>), sdf: impl Fn(Vec3<f32>) -> f32 + Sync, table: fn(Vec3<f32>) -> f32) -> Self {
+    pub fn new(
+        bounds: (Vec3<f32>, Vec3<f32>),
+        sdf: impl Fn(Vec3<f32>) -> f32 + Sync,
+        table: fn(Vec3<f32>) -> f32,
+        table_top: (f32, f32),
+    ) -> Self {
         let origin = bounds.0.map(|v| v - MARGIN);
         let count: [usize; 3] = std::array::from_fn(|a| ((bounds.1[a] + MARGIN - origin[a]) / CELL).ceil() as usize + 1);
         let distance = (0..count[2] * count[1])
@@ -65,61 +76,87 @@ impl Light {
             })
             .collect();
         let mut rays = Vec::new();
-        lamp(&mut rays, KEY, 0.30, 12, [2.55, 2.42, 2.22]);
-        let keys = rays.len();
-        lamp(&mut rays, RIM_LIGHT, 0.25, 6, [0.62, 0.66, 0.74]);
+        lamp(&mut rays, KEY, 0.30, KEY_RAYS, [3.35, 3.18, 2.92]);
+        lamp(&mut rays, RIM_LIGHT, 0.25, RIM_RAYS, [0.75, 0.80, 0.90]);
         for d in fibonacci_directions(SKY) {
             let up = 0.5 + 0.5 * d[2];
             let sky = vec3::lerp([0.46, 0.43, 0.41], [0.86, 0.91, 1.0], up);
-            rays.push(Ray { direction: d, radiance: sky.map(|v| v * 4.0 / SKY as f32 * 0.62), spread: 0.26 });
+            rays.push(Ray { direction: d, radiance: sky.map(|v| v * 4.0 / SKY as f32 * 0.60), spread: 0.26 });
         }
-        Self { rays, keys, origin, count, distance, table }
+        Self { rays, origin, count, distance, table, table_top }
     }
 
-    /// Distance of the object from the volume; outside of it a lower bound.
+    /// Distance of the object from the volume; `x` outside of it is moved to its border.
+    #[inline(always)]
     fn sample(&self, x: Vec3<f32>) -> f32 {
-        let g: Vec3<f32> = std::array::from_fn(|a| (x[a] - self.origin[a]) / CELL);
-        let c: Vec3<f32> = std::array::from_fn(|a| g[a].clamp(0.0, (self.count[a] - 2) as f32 + 0.999));
-        let out = vec3::norm(vec3::sub(g, c)) * CELL;
-        let i = c.map(|v| v as usize);
-        let f: Vec3<f32> = std::array::from_fn(|a| c[a] - i[a] as f32);
-        let (sy, sz) = (self.count[0], self.count[0] * self.count[1]);
-        let at = i[0] + i[1] * sy + i[2] * sz;
-        let d = &self.distance;
-        let x0 = |o: usize| d[at + o] + (d[at + o + 1] - d[at + o]) * f[0];
-        let y0 = |o: usize| x0(o) + (x0(o + sy) - x0(o)) * f[1];
-        y0(0) + (y0(sz) - y0(0)) * f[2] + out
+        // The cell must have a successor on every axis: stay a hair below the last node.
+        let at = |a: usize| ((x[a] - self.origin[a]) * (1.0 / CELL)).clamp(0.0, self.count[a] as f32 - 1.001);
+        let (gx, gy, gz) = (at(0), at(1), at(2));
+        let (i, j, k) = (gx as i32 as usize, gy as i32 as usize, gz as i32 as usize);
+        let (fx, fy, fz) = (gx - i as f32, gy - j as f32, gz - k as f32);
+        let sy = self.count[0];
+        let base = i + sy * (j + self.count[1] * k);
+        let layer = |o: usize| {
+            let d = &self.distance[base + o..][..sy + 2];
+            let (a, b) = (d[0] + (d[1] - d[0]) * fx, d[sy] + (d[sy + 1] - d[sy]) * fx);
+            a + (b - a) * fy
+        };
+        let (a, b) = (layer(0), layer(sy * self.count[1]));
+        a + (b - a) * fz
     }
 
-    /// Share of the cone along `d` that leaves the scene.
+    /// Share of the cone along `d` that the scene leaves open.
+    #[inline]
     fn visibility(&self, x: Vec3<f32>, d: Vec3<f32>, spread: f32) -> f32 {
-        let mut t = 0.035;
-        let mut seen = 1.0f32;
-        while t < 2.4 {
-            let p = vec3::add_scaled(x, d, t);
-            let object = self.sample(p);
-            let h = object.min((self.table)(p));
-            seen = seen.min(0.5 + 0.5 * h / (spread * t));
-            if seen <= 0.0 {
-                return 0.0;
-            }
-            if p[2] > 1.7 && d[2] > 0.0 {
-                break;
-            }
-            t += (h * 0.9).clamp(0.03, 0.25);
+        let mut seen = self.table_visibility(x, d, spread);
+        // Only the stretch inside the object's box can be blocked by it.
+        let (mut t, mut end) = (0.03f32, 4.0f32);
+        for a in 0..3 {
+            let inv = 1.0 / d[a];
+            let hi = self.origin[a] + (self.count[a] - 1) as f32 * CELL;
+            let (t0, t1) = ((self.origin[a] - x[a]) * inv, (hi - x[a]) * inv);
+            t = t.max(t0.min(t1));
+            end = end.min(t0.max(t1));
         }
-        let s = seen.clamp(0.0, 1.0);
-        s * s * (3.0 - 2.0 * s)
+        while t < end && seen > 0.0 {
+            let h = self.sample(vec3::add_scaled(x, d, t));
+            seen = seen.min(0.5 + 0.5 * h / (spread * t));
+            t += h.max(0.5 * spread * t).max(0.02);
+        }
+        smoothstep(0.0, 1.0, seen)
+    }
+
+    /// The table's share: above it a disc, from below the top shades everything that looks up.
+    fn table_visibility(&self, x: Vec3<f32>, d: Vec3<f32>, spread: f32) -> f32 {
+        let top = self.table_top;
+        if x[2] > top.0 - 1e-3 {
+            if d[2] >= 0.0 {
+                return 1.0;
+            }
+            let t = (x[2] - top.0) / -d[2];
+            let rho = ((x[0] + d[0] * t).powi(2) + (x[1] + d[1] * t).powi(2)).sqrt();
+            return 0.5 + 0.5 * (rho - top.1) / (spread * t + 1e-3);
+        }
+        let mut seen = 1.0f32;
+        let mut t = 0.03;
+        while t < 2.0 && seen > 0.0 {
+            let h = (self.table)(vec3::add_scaled(x, d, t));
+            seen = seen.min(0.5 + 0.5 * h / (spread * t));
+            t += h.max(0.5 * spread * t).max(0.03);
+        }
+        seen
     }
 
     /// What arrives at the surface point `x` with normal `n`.
     pub fn receive(&self, x: Vec3<f32>, n: Vec3<f32>) -> Received {
         let from = vec3::add_scaled(x, n, 0.012);
-        let visible = self
-            .rays
-            .iter()
-            .map(|r| if vec3::dot(r.direction, n) > -0.35 { self.visibility(from, r.direction, r.spread) } else { 0.0 })
-            .collect();
+        let mut visible = [0.0; RAYS];
+        for (v, r) in visible.iter_mut().zip(&self.rays) {
+            // Nothing arrives from farther behind the surface than diffuse wrapping reaches.
+            if vec3::dot(r.direction, n) > -0.3 {
+                *v = self.visibility(from, r.direction, r.spread);
+            }
+        }
         // Translucent matter blurs its own relief: a normal taken over a few millimetres, for the object only.
         let h = 0.03;
         let g: Vec3<f32> = std::array::from_fn(|a| {
@@ -177,7 +214,7 @@ impl Light {
             if a <= 0.0 {
                 continue;
             }
-            let (power, gain) = if k < self.keys + 6 { (90.0, 14.0) } else { (6.0, 1.1) };
+            let (power, gain) = if k < KEY_RAYS + RIM_RAYS { (90.0, 14.0) } else { (6.0, 1.1) };
             let lobe = a.powf(power) * gain * v;
             for c in 0..3 {
                 s[c] += fresnel * lobe * r.radiance[c];

@@ -19,6 +19,6 @@ pub use blue_noise::{SurfacePoint, blue_noise};
 pub use light::to_display;
 pub use photograph::{camera_rig, photograph};
 pub use shapes::{Shape, Shell};
-pub use solid::{Solid, volume};
+pub use solid::{Hit, Solid, volume};
 pub use sprinkle::Sprinkle;
 pub use sundae::{METRES_PER_UNIT, Part, Sundae, TABLE_HEIGHT, TABLE_RADIUS};

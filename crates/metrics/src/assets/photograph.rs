@@ -4,7 +4,7 @@ use megas_math::{Vec3, vec3};
 use megas_model::{Camera, Image, View, fibonacci_directions};
 use rayon::prelude::*;
 
-use super::solid::Solid;
+use super::solid::{Hit, Solid};
 
 /// Share of the distance that one step dares to go: relief makes the distance up to a third too large.
 const STEP: f32 = 0.75;
@@ -34,8 +34,7 @@ pub fn photograph(solid: &impl Solid, camera: &Camera, samples: u32, name: &str)
 
 fn pixel(solid: &impl Solid, camera: &Camera, i: f32, j: f32, samples: u32) -> Pixel {
     let n = samples.max(1);
-    let mut sum = [0.0f32; 3];
-    let mut hits = 0u32;
+    let mut hits = Vec::with_capacity((n * n) as usize);
     for k in 0..n * n {
         // The samples form a grid turned a little, so that edges along the pixel rows get all the grey levels.
         let (a, b) = ((k % n) as f32 + 0.5, (k / n) as f32 + 0.5);
@@ -44,11 +43,10 @@ fn pixel(solid: &impl Solid, camera: &Camera, i: f32, j: f32, samples: u32) -> P
         let (o, d) = camera.ray(i + 0.5 + u, j + 0.5 + v);
         if let Some(t) = trace(solid, o, d) {
             let x = vec3::add_scaled(o, d, t);
-            sum = vec3::add(sum, solid.shade(x, solid.normal(x), d));
-            hits += 1;
+            hits.push(Hit { position: x, normal: solid.normal(x), direction: d });
         }
     }
-    let rgb = if hits > 0 { sum.map(|v| v / hits as f32) } else { [0.0; 3] };
+    let rgb = solid.shade(&hits);
     let (o, d) = camera.ray(i + 0.5, j + 0.5);
     let (depth, normal) = match trace(solid, o, d) {
         Some(t) => {
@@ -57,7 +55,7 @@ fn pixel(solid: &impl Solid, camera: &Camera, i: f32, j: f32, samples: u32) -> P
         }
         None => (f32::INFINITY, [0.0; 3]),
     };
-    Pixel { rgba: [rgb[0], rgb[1], rgb[2], hits as f32 / (n * n) as f32], depth, normal }
+    Pixel { rgba: [rgb[0], rgb[1], rgb[2], hits.len() as f32 / (n * n) as f32], depth, normal }
 }
 
 /// Distance along the ray to the first surface, if any.

@@ -19,10 +19,22 @@ pub trait Solid: Sync {
         gradient(|p| self.sdf(p), x, 1e-3)
     }
 
-    /// Colour of the surface point `x` with normal `n` seen along the unit direction `d` (from the camera), display-referred.
-    fn shade(&self, x: Vec3<f32>, _n: Vec3<f32>, _d: Vec3<f32>) -> [f32; 3] {
-        self.albedo(x)
+    /// Mean colour, display-referred, of the points that the rays of one pixel meet; black without any.
+    fn shade(&self, hits: &[Hit]) -> [f32; 3] {
+        let sum = hits.iter().fold([0.0; 3], |sum, h| vec3::add(sum, self.albedo(h.position)));
+        vec3::scale(sum, 1.0 / hits.len().max(1) as f32)
     }
+}
+
+/// Where a viewing ray meets a surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Hit {
+    /// The point.
+    pub position: Vec3<f32>,
+    /// Outward unit normal.
+    pub normal: Vec3<f32>,
+    /// Unit direction of the ray, from the camera.
+    pub direction: Vec3<f32>,
 }
 
 /// Direction of the gradient of `f` at `x` from the corners of a tetrahedron of half-edge `h`; +z where the gradient vanishes.

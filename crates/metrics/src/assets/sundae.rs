@@ -7,10 +7,10 @@
 use megas_math::{Vec3, rng::hash01, vec3};
 
 use super::{
-    light::Light,
+    light::{Light, Received},
     noise::{noise_at, smoothstep},
     primitives::{RoundCone, ball, disc, smax, smin},
-    solid::{Solid, gradient},
+    solid::{Hit, Solid, gradient},
     sundae_colour,
 };
 
@@ -19,12 +19,12 @@ pub const METRES_PER_UNIT: f32 = 0.1;
 /// Height of the table's top: the support plane under the object.
 pub const TABLE_HEIGHT: f32 = 0.0;
 /// Radius of the table top.
-pub const TABLE_RADIUS: f32 = 1.42;
+pub const TABLE_RADIUS: f32 = 1.34;
 
 /// Thickness of the bowl's wall.
 const WALL: f32 = 0.10;
 /// Mean height of the bowl's rim.
-const RIM: f32 = 0.50;
+const RIM: f32 = 0.53;
 const SCOOP_RADIUS: f32 = 0.385;
 const SCOOPS: [Vec3<f32>; 3] = [[-0.31, -0.17, 0.76], [0.32, -0.13, 0.74], [-0.01, 0.30, 0.86]];
 const CHERRY: (Vec3<f32>, f32) = ([-0.03, 0.27, 1.335], 0.118);
@@ -96,7 +96,7 @@ impl Sundae {
         let sauce = std::array::from_fn(drips);
         let wafer = RoundCone::new(WAFER.0, WAFER.1, WAFER.2, WAFER.2);
         let mut s = Self { sauce, wafer, light: Light::empty() };
-        s.light = Light::new(s.object_bounds(), |x| s.object_sdf(x), table);
+        s.light = Light::new(s.object_bounds(), |x| s.object_sdf(x), table, (TABLE_HEIGHT, TABLE_RADIUS));
         s
     }
 
@@ -213,10 +213,24 @@ impl Solid for Sundae {
         sundae_colour::albedo(self, x, self.part(x))
     }
 
-    fn shade(&self, x: Vec3<f32>, n: Vec3<f32>, d: Vec3<f32>) -> [f32; 3] {
-        let part = self.part(x);
-        let lit = self.light.receive(x, n);
-        self.light.shade(&lit, n, d, sundae_colour::albedo(self, x, part), sundae_colour::finish(part))
+    fn shade(&self, hits: &[Hit]) -> [f32; 3] {
+        let mut sum = [0.0; 3];
+        let mut last: Option<(Part, Hit, Received)> = None;
+        for h in hits {
+            let part = self.part(h.position);
+            // Arriving light varies slowly: neighbouring rays that meet the same part nearby share it.
+            let same = last.as_ref().is_some_and(|(p, at, _)| {
+                *p == part && vec3::norm(vec3::sub(at.position, h.position)) < 0.02 && vec3::dot(at.normal, h.normal) > 0.8
+            });
+            if !same {
+                last = Some((part, *h, self.light.receive(h.position, h.normal)));
+            }
+            if let Some((_, _, lit)) = &last {
+                let albedo = sundae_colour::albedo(self, h.position, part);
+                sum = vec3::add(sum, self.light.shade(lit, h.normal, h.direction, albedo, sundae_colour::finish(part)));
+            }
+        }
+        vec3::scale(sum, 1.0 / hits.len().max(1) as f32)
     }
 }
 
@@ -333,7 +347,8 @@ fn fill(x: Vec3<f32>) -> f32 {
     if far > 0.15 {
         return far;
     }
-    let top = x[2] - 0.43 - 0.02 * noise_at(x, 5.0, 13.0);
+    let icy = if (x[2] - 0.42).abs() < 0.1 { 0.010 * noise_at(x, 15.0, 14.0) + 0.006 * noise_at(x, 34.0, 15.0) } else { 0.0 };
+    let top = x[2] - 0.41 - 0.03 * noise_at(x, 5.0, 13.0) - icy;
     (bowl_side(x) + 0.8 * WALL).max(top).max(0.06 - x[2])
 }
 
@@ -349,6 +364,6 @@ fn table(x: Vec3<f32>) -> f32 {
     let t = ((z + 0.13) / -0.37).clamp(0.0, 1.0);
     let waist = 0.17 + 0.30 * (2.0 * t - 1.0).abs().powi(3);
     let stem = ((r - waist) * 0.6).max(-0.50 - z).max(z + 0.10);
-    let foot = disc(x, 0.72, -0.56, -0.47, 0.035);
+    let foot = disc(x, 0.66, -0.56, -0.47, 0.035);
     smin(smin(top, stem, 0.06), foot, 0.06)
 }

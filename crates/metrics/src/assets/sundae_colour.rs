@@ -39,16 +39,22 @@ pub fn finish(part: Part) -> Finish {
 
 fn strawberry(x: Vec3<f32>) -> [f32; 3] {
     let swirl = noise_at([x[0], x[1], x[2] * 1.8 + 0.2 * noise_at(x, 3.0, 50.0)], 4.5, 51.0);
-    let c = mix([0.965, 0.66, 0.69], [0.92, 0.47, 0.54], 0.45 + 0.9 * swirl);
-    let (bits, which) = specks(x.map(|v| v * 9.0), 0.22, 0.30);
-    mix(c, if which > 0.5 { [0.78, 0.20, 0.27] } else { [0.86, 0.33, 0.40] }, 0.85 * smoothstep(0.0, 0.25, bits))
+    let c = mix([0.975, 0.72, 0.735], [0.935, 0.53, 0.585], 0.45 + 0.9 * swirl);
+    let (bits, which) = specks(crumbled(x, 9.0), 0.20, 0.30);
+    mix(c, if which > 0.4 { [0.80, 0.26, 0.33] } else { [0.74, 0.16, 0.22] }, 0.8 * smoothstep(0.0, 0.3, bits))
+}
+
+/// Coordinates for bits of fruit and nut at `frequency`, bent so that the bits are chunks rather than balls.
+fn crumbled(x: Vec3<f32>, frequency: f32) -> Vec3<f32> {
+    let bend = |seed: f32| 0.30 * noise_at(x, 2.6 * frequency, seed);
+    [x[0] * frequency + bend(57.0), x[1] * frequency + bend(58.0), 1.3 * x[2] * frequency + bend(59.0)]
 }
 
 fn pistachio(x: Vec3<f32>) -> [f32; 3] {
     let swirl = noise_at(x, 4.0, 52.0);
     let c = mix([0.80, 0.86, 0.60], [0.70, 0.79, 0.47], 0.45 + 0.7 * swirl);
-    let (bits, which) = specks(x.map(|v| v * 10.0), 0.20, 0.28);
-    mix(c, if which > 0.6 { [0.55, 0.36, 0.20] } else { [0.47, 0.58, 0.22] }, 0.85 * smoothstep(0.0, 0.25, bits))
+    let (bits, which) = specks(crumbled(x, 10.0), 0.26, 0.28);
+    mix(c, if which > 0.6 { [0.56, 0.42, 0.24] } else { [0.48, 0.58, 0.25] }, 0.8 * smoothstep(0.0, 0.3, bits))
 }
 
 fn vanilla(x: Vec3<f32>) -> [f32; 3] {
@@ -59,8 +65,8 @@ fn vanilla(x: Vec3<f32>) -> [f32; 3] {
 
 fn biscuit(x: Vec3<f32>) -> [f32; 3] {
     let toast = 0.5 + 0.5 * noise_at(x, 3.0, 54.0) + 0.35 * noise_at(x, 11.0, 55.0);
-    let dimple = mix([0.90, 0.66, 0.36], [0.80, 0.52, 0.25], toast);
-    let ridge = mix([0.80, 0.50, 0.22], [0.62, 0.34, 0.13], toast);
+    let dimple = mix([0.94, 0.73, 0.43], [0.86, 0.60, 0.31], toast);
+    let ridge = mix([0.86, 0.57, 0.27], [0.70, 0.41, 0.17], toast);
     let c = mix(dimple, ridge, waffle(x) * smoothstep(0.02, 0.08, x[2]));
     mix(c, [0.60, 0.33, 0.13], 0.55 * smoothstep(0.44, 0.54, x[2]))
 }
@@ -92,9 +98,9 @@ fn wood(x: Vec3<f32>) -> [f32; 3] {
     let late = smoothstep(0.35, 0.85, f) * smoothstep(1.0, 0.9, f);
     let fibre = noise_at([x[0] * 0.07 + shift[0], x[1], x[2]], 60.0, 62.0);
     let pores = smoothstep(0.25, 0.6, noise_at([x[0] * 0.05 + shift[0], x[1], x[2]], 95.0, 63.0));
-    let mut c = mix([0.70, 0.50, 0.32], [0.60, 0.40, 0.24], tone);
-    c = mix(c, [0.43, 0.26, 0.145], 0.55 * late);
-    c = mix(c, [0.40, 0.25, 0.15], 0.22 * (0.5 + fibre) + 0.28 * pores);
+    let mut c = mix([0.80, 0.63, 0.46], [0.72, 0.54, 0.37], tone);
+    c = mix(c, [0.56, 0.38, 0.24], 0.5 * late);
+    c = mix(c, [0.50, 0.35, 0.23], 0.22 * (0.5 + fibre) + 0.28 * pores);
     let seam = (v - v.floor() - 0.5).abs();
     let dark = if x[2] > -0.14 { smoothstep(0.488, 0.497, seam) } else { 0.0 };
     mix(c, [0.16, 0.09, 0.05], 0.8 * dark)
