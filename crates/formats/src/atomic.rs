@@ -93,9 +93,9 @@ pub fn write_atomic(path: impl AsRef<Path>, overwrite: bool, fill: impl FnOnce(&
 
 /// An I/O error without the temporary file's name, which means nothing to the reader of the message.
 fn bare(e: io::Error) -> io::Error {
-    let inner = e.get_ref().and_then(|s| s.source()).and_then(|s| s.downcast_ref::<io::Error>());
-    match inner {
-        Some(i) => i.raw_os_error().map_or_else(|| io::Error::new(i.kind(), i.to_string()), io::Error::from_raw_os_error),
+    let text = e.to_string();
+    match text.split_once(" at path ") {
+        Some((system, _)) => io::Error::new(e.kind(), system.to_owned()),
         None => e,
     }
 }

@@ -209,8 +209,7 @@ impl Header {
         let mut encoding = None;
         let mut header = Self { encoding: Encoding::Ascii, comments: Vec::new(), elements: Vec::new() };
         loop {
-            // A header cut off at its limit is recognised by its length, not by an endless wait for its end.
-            let more = source.line_into(&mut line, MAX_HEADER - used)?;
+            let more = source.line_into(&mut line, MAX_HEADER)?;
             used += line.len() + 1;
             let place = || Place::Line(source.line());
             if !more || used >= MAX_HEADER {
