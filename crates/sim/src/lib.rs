@@ -8,5 +8,7 @@ pub mod material;
 pub mod mechanics;
 pub mod particles;
 pub mod phase;
+pub mod region;
+pub mod schedule;
 pub mod source;
 pub mod thermal;

@@ -1,0 +1,198 @@
+//! Sources turned into numbers per node for one coupling step (simulation.md §4.7).
+
+use rayon::prelude::*;
+
+use crate::grid::Grid;
+use crate::source::{Film, HeatSource, Region, SourceKind, SourceReport};
+use crate::thermal::network::Network;
+
+/// What a list of [`Term`]s does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Action {
+    /// `a` \[W\] into the node.
+    Heat,
+    /// Pulls the node by the share `a` towards the energy `b` \[J\].
+    Hold,
+    /// Conductance `a` \[W/K\] to surroundings at `b` \[K\].
+    Exchange,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Term {
+    slot: u32,
+    a: f64,
+    b: f64,
+}
+
+/// All terms of a step, source after source.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Terms {
+    terms: Vec<Term>,
+    /// End of each source's terms and what they do.
+    ranges: Vec<(usize, Action)>,
+    /// One per source, then one for the film of the air model if there is one.
+    pub(crate) reports: Vec<SourceReport>,
+    weight: Vec<f64>,
+}
+
+/// What the terms of a step need to know about the nodes.
+pub(crate) struct Context<'a> {
+    pub(crate) grid: &'a Grid,
+    pub(crate) network: &'a Network,
+    /// Dimensionless area per node; empty if no source asked for it.
+    pub(crate) area: &'a [f64],
+    /// Mass share of object `id` in an active node.
+    pub(crate) share: &'a (dyn Fn(u16, usize) -> f64 + Sync),
+    /// Energy of a node at a temperature.
+    pub(crate) energy_at: &'a (dyn Fn(usize, f64) -> f64 + Sync),
+    pub(crate) time: f64,
+}
+
+impl HeatSource {
+    /// True if the source needs the surface measure.
+    pub(crate) fn needs_surface(&self) -> bool {
+        matches!(self.kind, SourceKind::Flux { .. } | SourceKind::Film(_)) || matches!(self.region, Region::Surface(_))
+    }
+}
+
+impl Terms {
+    /// Forgets the last step.
+    pub(crate) fn clear(&mut self) {
+        self.terms.clear();
+        self.ranges.clear();
+        self.reports.clear();
+    }
+
+    /// Adds the terms of one source.
+    pub(crate) fn add(&mut self, source: &HeatSource, cx: &Context) {
+        let gain = source.schedule.gain(cx.time);
+        let action = match source.kind {
+            SourceKind::Temperature { .. } => Action::Hold,
+            SourceKind::Film(_) => Action::Exchange,
+            _ => Action::Heat,
+        };
+        if gain > 0.0 {
+            self.weigh(source, cx);
+            self.build(source, gain, cx);
+        }
+        let surface = matches!(source.kind, SourceKind::Flux { .. } | SourceKind::Film(_));
+        self.finish(action, surface, cx);
+    }
+
+    /// Adds the film of the air model, on every surface.
+    pub(crate) fn add_film(&mut self, film: Film, cx: &Context) {
+        self.weight.clear();
+        self.weight.resize(cx.network.len(), 1.0);
+        self.exchange(film, 1.0, cx);
+        self.finish(Action::Exchange, true, cx);
+    }
+
+    fn finish(&mut self, action: Action, surface: bool, cx: &Context) {
+        let start = self.ranges.last().map_or(0, |r| r.0);
+        let own = &self.terms[start..];
+        let dx2 = cx.grid.spacing * cx.grid.spacing;
+        let area = if surface { own.iter().map(|t| self.weight[t.slot as usize] * cx.area[t.slot as usize] * dx2).sum() } else { 0.0 };
+        self.reports.push(SourceReport { heat: 0.0, area, nodes: own.len() as u32 });
+        self.ranges.push((self.terms.len(), action));
+    }
+
+    /// χ per active node.
+    fn weigh(&mut self, source: &HeatSource, cx: &Context) {
+        let (translation, rotation) = source.motion.pose(cx.time);
+        let region = source.region.moved(translation, rotation);
+        let surface = matches!(region, Region::Surface(_));
+        // On a surface region the layer itself decides, unless the kind already works per area.
+        let layer = surface && !matches!(source.kind, SourceKind::Flux { .. } | SourceKind::Film(_));
+        self.weight.clear();
+        self.weight.resize(cx.network.len(), 0.0);
+        self.weight.par_iter_mut().enumerate().for_each(|(slot, w)| {
+            *w = match region.object() {
+                Some(id) => (cx.share)(id, slot),
+                None => region.weight(cx.grid.position(cx.network.node(slot)), cx.grid.spacing),
+            };
+            if layer {
+                // The measure spreads over two to three nodes across the surface, half of the area at most in one.
+                *w *= (2.0 * cx.area[slot]).min(1.0);
+            }
+        });
+    }
+
+    fn build(&mut self, source: &HeatSource, gain: f64, cx: &Context) {
+        let volume = cx.grid.spacing.powi(3);
+        let dx2 = cx.grid.spacing.powi(2);
+        let value = |constant| source.schedule.value(cx.time, constant);
+        let Self { terms, weight, .. } = self;
+        let each = || weight.iter().enumerate().filter(|(_, w)| **w > 0.0);
+        let term = |slot: usize, a, b| Term { slot: slot as u32, a, b };
+        match &source.kind {
+            SourceKind::Temperature { kelvin } => {
+                let t = value(*kelvin);
+                terms.extend(each().map(|(s, w)| term(s, (gain * w).min(1.0), (cx.energy_at)(s, t))));
+            }
+            SourceKind::Power { watts } => {
+                let filled: f64 = each().map(|(s, w)| w * cx.network.phi[s]).sum();
+                if filled > 0.0 {
+                    let scale = gain * value(*watts) / filled;
+                    terms.extend(each().map(|(s, w)| term(s, scale * w * cx.network.phi[s], 0.0)));
+                }
+            }
+            SourceKind::Volume { watts_per_m3 } => {
+                let scale = gain * value(*watts_per_m3) * volume;
+                terms.extend(each().map(|(s, w)| term(s, scale * w * cx.network.phi[s], 0.0)));
+            }
+            SourceKind::Flux { watts_per_m2 } => {
+                let scale = gain * value(*watts_per_m2) * dx2;
+                terms.extend(each().filter(|(s, _)| cx.area[*s] > 0.0).map(|(s, w)| term(s, scale * w * cx.area[s], 0.0)));
+            }
+            SourceKind::Film(film) => self.exchange(Film { ambient: value(film.ambient), ..*film }, gain, cx),
+        }
+    }
+
+    /// Film in series with the material above the node, so that inner nodes are not cooled directly.
+    fn exchange(&mut self, film: Film, gain: f64, cx: &Context) {
+        let dx = cx.grid.spacing;
+        for (slot, (w, a)) in self.weight.iter().zip(cx.area).enumerate() {
+            let h = film.total_coefficient(cx.network.t[slot]);
+            if *w > 0.0 && *a > 0.0 && h > 0.0 {
+                let depth = 2.0 * dx * (cx.network.phi[slot] - 0.5).max(0.0);
+                let conductance = gain * w * a * dx * dx / (1.0 / h + depth / cx.network.k[slot]);
+                self.terms.push(Term { slot: slot as u32, a: conductance, b: film.ambient });
+            }
+        }
+    }
+
+    /// Applies everything to the energies of the nodes for `dt` seconds.
+    pub(crate) fn apply(&mut self, network: &mut Network, dt: f64) {
+        let mut start = 0;
+        for (&(end, action), report) in self.ranges.iter().zip(&mut self.reports) {
+            let mut heat = 0.0;
+            for t in &self.terms[start..end] {
+                let s = t.slot as usize;
+                let q = match action {
+                    Action::Heat => t.a * dt,
+                    Action::Hold => t.a * (t.b - network.e[s]),
+                    // Semi-implicit in the node's own temperature: stable for any conductance.
+                    Action::Exchange => -t.a * dt * (network.t[s] - t.b) / (1.0 + t.a * dt / network.capacity[s]),
+                };
+                network.e[s] += q;
+                heat += q;
+            }
+            report.heat += heat;
+            start = end;
+        }
+    }
+
+    /// True if there is nothing to apply.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.terms.is_empty()
+    }
+
+    /// Heat by kind of action: (powers and fluxes, holds, exchanges) \[J\].
+    pub(crate) fn totals(&self) -> [f64; 3] {
+        let mut q = [0.0; 3];
+        for ((_, action), report) in self.ranges.iter().zip(&self.reports) {
+            q[*action as usize] += report.heat;
+        }
+        q
+    }
+}

@@ -1,0 +1,338 @@
+//! The touched nodes as a network of heat capacities joined by flux links (simulation.md §3.3, §3.5 without air).
+
+use rayon::prelude::*;
+
+use crate::material::Material;
+use crate::thermal::Wall;
+use crate::thermal::enthalpy::{EnthalpyCurve, MixtureCurve};
+use crate::thermal::transfer::Lattice;
+
+/// Marks a node of the grid that is not in the network.
+const ABSENT: u32 = u32::MAX;
+
+/// Nodes per parallel work item.
+const CHUNK: usize = 1024;
+
+/// What the network needs to know of one material.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Medium {
+    pub(crate) curve: EnthalpyCurve,
+    pub(crate) density: f64,
+    k_s: f64,
+    k_l: f64,
+}
+
+impl Medium {
+    pub(crate) fn new(m: &Material, t_ref: f64) -> Self {
+        Self { curve: EnthalpyCurve::new(m, t_ref), density: m.density, k_s: m.conductivity_solid, k_l: m.conductivity_liquid }
+    }
+
+    /// Conductivity \[W/(m·K)\] at liquid fraction `f`.
+    #[inline(always)]
+    pub(crate) fn conductivity(&self, f: f64) -> f64 {
+        self.k_s + f * (self.k_l - self.k_s)
+    }
+}
+
+/// What a node is made of: one material, or masses of several in [`Composition::mixed`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    One(u8),
+    /// First of `used.len()` masses in `mixed`.
+    Mixed(u32),
+}
+
+/// The materials present and the make-up of the mixed nodes.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Composition {
+    /// Materials present, ascending.
+    pub(crate) used: Vec<u8>,
+    curves: Vec<EnthalpyCurve>,
+    media: Vec<Medium>,
+    mixture: MixtureCurve,
+    /// Mass by used material for every mixed node.
+    pub(crate) mixed: Vec<f64>,
+}
+
+impl Composition {
+    /// Declares which materials are present (`present[m]`).
+    pub(crate) fn reset(&mut self, media: &[Medium], present: &[bool; 256]) {
+        self.mixed.clear();
+        let same = self.used.len() == present.iter().filter(|p| **p).count() && self.used.iter().all(|m| present[*m as usize]);
+        if same {
+            return;
+        }
+        self.used = (0..=255u8).filter(|m| present[*m as usize]).collect();
+        self.media = self.used.iter().map(|m| media[*m as usize]).collect();
+        self.curves = self.media.iter().map(|m| m.curve).collect();
+        self.mixture = MixtureCurve::new(&self.curves);
+    }
+
+    fn masses(&self, first: u32) -> &[f64] {
+        &self.mixed[first as usize..first as usize + self.used.len()]
+    }
+
+    /// Temperature of a node.
+    #[inline]
+    fn temperature(&self, media: &[Medium], kind: Kind, mass: f64, energy: f64) -> f64 {
+        match kind {
+            Kind::One(m) => media[m as usize].curve.temperature(energy / mass),
+            Kind::Mixed(i) => self.mixture.temperature(&self.curves, self.masses(i), energy).0,
+        }
+    }
+
+    /// Energy of a node at temperature `t`.
+    fn energy(&self, media: &[Medium], kind: Kind, mass: f64, t: f64) -> f64 {
+        match kind {
+            Kind::One(m) => mass * media[m as usize].curve.enthalpy(t),
+            Kind::Mixed(i) => self.curves.iter().zip(self.masses(i)).map(|(c, m)| if *m > 0.0 { m * c.enthalpy(t) } else { 0.0 }).sum(),
+        }
+    }
+
+    /// Temperature, heat capacity \[J/K\] and conductivity \[W/(m·K)\] of a node.
+    fn state(&self, media: &[Medium], kind: Kind, mass: f64, energy: f64) -> (f64, f64, f64) {
+        match kind {
+            Kind::One(m) => {
+                let medium = &media[m as usize];
+                let h = energy / mass;
+                let f = medium.curve.liquid_fraction(h);
+                (medium.curve.temperature(h), mass * medium.curve.heat_capacity(h), medium.conductivity(f))
+            }
+            Kind::Mixed(i) => {
+                let (t, plateau) = self.mixture.temperature(&self.curves, self.masses(i), energy);
+                let (mut capacity, mut k, mut volume) = (0.0, 0.0, 0.0);
+                for (medium, m) in self.media.iter().zip(self.masses(i)) {
+                    let f = MixtureCurve::fraction(&medium.curve, t, plateau);
+                    let v = m / medium.density;
+                    capacity += m * medium.curve.heat_capacity(medium.curve.enthalpy(t));
+                    k += v * medium.conductivity(f);
+                    volume += v;
+                }
+                (t, capacity, k / volume)
+            }
+        }
+    }
+}
+
+/// A link to a wall of fixed temperature.
+#[derive(Clone, Copy, Debug)]
+struct WallLink {
+    slot: u32,
+    conductance: f64,
+    t: f64,
+}
+
+/// Compact arrays over the nodes that hold material, in memory order of the grid.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Network {
+    /// Grid index → slot, or [`ABSENT`].
+    slot: Vec<u32>,
+    nodes: [usize; 3],
+    /// Slot → grid index.
+    pub(crate) dense: Vec<u32>,
+    pub(crate) kind: Vec<Kind>,
+    /// Mass \[kg\] and filled fraction φ (may exceed 1).
+    pub(crate) mass: Vec<f64>,
+    pub(crate) phi: Vec<f64>,
+    /// Energy at the start of the step and now \[J\].
+    pub(crate) e0: Vec<f64>,
+    pub(crate) e: Vec<f64>,
+    /// Temperature \[K\], heat capacity \[J/K\], conductivity \[W/(m·K)\].
+    pub(crate) t: Vec<f64>,
+    pub(crate) capacity: Vec<f64>,
+    pub(crate) k: Vec<f64>,
+    neighbours: Vec<[u32; 6]>,
+    /// Conductance of each link \[W/K\].
+    links: Vec<[f64; 6]>,
+    walls: Vec<WallLink>,
+    /// Nodes inside a wall of fixed temperature, and that temperature.
+    pinned: Vec<(u32, f64)>,
+}
+
+impl Network {
+    pub(crate) fn len(&self) -> usize {
+        self.dense.len()
+    }
+
+    /// Grid node of a slot.
+    #[inline(always)]
+    pub(crate) fn node(&self, slot: usize) -> [usize; 3] {
+        let i = self.dense[slot] as usize;
+        let ij = i / self.nodes[2];
+        [ij / self.nodes[1], ij % self.nodes[1], i % self.nodes[2]]
+    }
+
+    #[inline(always)]
+    fn index(&self, n: [usize; 3]) -> usize {
+        (n[0] * self.nodes[1] + n[1]) * self.nodes[2] + n[2]
+    }
+
+    /// Slot of a grid node that holds material.
+    #[inline(always)]
+    pub(crate) fn slot_of(&self, node: [usize; 3]) -> Option<usize> {
+        self.slot_of_index(self.index(node))
+    }
+
+    /// Slot of a memory index that holds material.
+    #[inline(always)]
+    pub(crate) fn slot_of_index(&self, index: usize) -> Option<usize> {
+        match self.slot[index] {
+            ABSENT => None,
+            s => Some(s as usize),
+        }
+    }
+
+    /// Empties the network; the grid has `nodes` nodes.
+    pub(crate) fn clear(&mut self, nodes: [usize; 3]) {
+        for &i in &self.dense {
+            self.slot[i as usize] = ABSENT;
+        }
+        self.nodes = nodes;
+        self.slot.resize(nodes.iter().product(), ABSENT);
+        self.dense.clear();
+        self.kind.clear();
+        self.mass.clear();
+        self.phi.clear();
+        self.e0.clear();
+        self.walls.clear();
+        self.pinned.clear();
+    }
+
+    /// Adds a node; call in ascending order of `index`.
+    #[inline(always)]
+    pub(crate) fn push(&mut self, index: usize, kind: Kind, mass: f64, phi: f64, energy: f64) {
+        self.slot[index] = self.dense.len() as u32;
+        self.dense.push(index as u32);
+        self.kind.push(kind);
+        self.mass.push(mass);
+        self.phi.push(phi);
+        self.e0.push(energy);
+    }
+
+    /// Temperatures, capacities and conductivities from the energies, then the links.
+    pub(crate) fn prepare(&mut self, media: &[Medium], mix: &Composition, lattice: &Lattice, spacing: f64, walls: Option<&[Wall]>) {
+        let n = self.len();
+        self.e.clear();
+        self.e.extend_from_slice(&self.e0);
+        for v in [&mut self.t, &mut self.capacity, &mut self.k] {
+            v.resize(n, 0.0);
+        }
+        self.neighbours.resize(n, [0; 6]);
+        self.links.resize(n, [0.0; 6]);
+        let Self { t, capacity, k, kind, mass, e0, .. } = self;
+        (t.par_iter_mut(), capacity.par_iter_mut(), k.par_iter_mut(), kind.par_iter(), mass.par_iter(), e0.par_iter())
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .for_each(|(t, c, k, kind, m, e)| (*t, *c, *k) = mix.state(media, *kind, *m, *e));
+        let mut links = std::mem::take(&mut self.links);
+        let mut neighbours = std::mem::take(&mut self.neighbours);
+        links.par_iter_mut().zip(neighbours.par_iter_mut()).with_min_len(CHUNK).enumerate().for_each(|(s, (g, nb))| {
+            for l in 0..6 {
+                (nb[l], g[l]) = self.link(lattice, spacing, walls, s, l).unwrap_or((s as u32, 0.0));
+            }
+        });
+        (self.links, self.neighbours) = (links, neighbours);
+        if let Some(walls) = walls {
+            self.join_walls(lattice, spacing, walls);
+        }
+    }
+
+    /// The flux link of slot `s` in direction `l` (−x, +x, −y, …): slot at the other end and conductance \[W/K\].
+    #[inline(always)]
+    fn link(&self, lattice: &Lattice, spacing: f64, walls: Option<&[Wall]>, s: usize, l: usize) -> Option<(u32, f64)> {
+        let other = self.index(lattice.neighbour(self.node(s), l / 2, l % 2 == 1)?);
+        let o = self.slot_of_index(other)?;
+        if let Some(walls) = walls
+            && (walls[other].fixed().is_some() || walls[self.dense[s] as usize].fixed().is_some())
+        {
+            return None;
+        }
+        // Harmonic mean over the filled cross-section: nodes at the rim neither insulate nor become stiff.
+        let (a, b) = (self.k[s], self.k[o]);
+        let filled = self.phi[s].min(self.phi[o]).min(1.0);
+        Some((o as u32, spacing * filled * (2.0 * a * b) / (a + b)))
+    }
+
+    /// Collects the nodes inside walls of fixed temperature and the links to such walls, half a cell away.
+    fn join_walls(&mut self, lattice: &Lattice, spacing: f64, walls: &[Wall]) {
+        for s in 0..self.len() {
+            if let Some(t) = walls[self.dense[s] as usize].fixed() {
+                self.pinned.push((s as u32, t));
+                continue;
+            }
+            let node = self.node(s);
+            for l in 0..6 {
+                let Some(n) = lattice.neighbour(node, l / 2, l % 2 == 1) else { continue };
+                if let Some(t) = walls[self.index(n)].fixed() {
+                    let conductance = 2.0 * self.k[s] * spacing * self.phi[s].min(1.0);
+                    self.walls.push(WallLink { slot: s as u32, conductance, t });
+                }
+            }
+        }
+    }
+
+    /// Number of equal parts of `dt` for which every node keeps `Σ G Δt ≤ C`.
+    pub(crate) fn subcycles(&self, dt: f64) -> u32 {
+        // Wall links of one node follow each other.
+        let mut wall = 0.0f64;
+        let mut total = (u32::MAX, 0.0);
+        for w in &self.walls {
+            let s = w.slot as usize;
+            if total.0 != w.slot {
+                total = (w.slot, self.links[s].iter().sum::<f64>());
+            }
+            total.1 += w.conductance;
+            wall = wall.max(total.1 / self.capacity[s]);
+        }
+        let rate = self
+            .links
+            .par_iter()
+            .zip(&self.capacity)
+            .with_min_len(CHUNK)
+            .map(|(g, c)| g.iter().sum::<f64>() / c)
+            .reduce(|| 0.0, f64::max)
+            .max(wall);
+        // The bound is exact; a whisker of slack keeps a ratio of one from rounding up to two.
+        (rate * dt * (1.0 - 1e-9)).ceil().clamp(1.0, f64::from(u32::MAX)) as u32
+    }
+
+    /// Moves heat along all links for `dt` seconds; returns the heat that came in from walls \[J\].
+    pub(crate) fn conduct(&mut self, media: &[Medium], mix: &Composition, dt: f64) -> f64 {
+        let Self { e, t, links, neighbours, walls, pinned, kind, mass, .. } = self;
+        let mut from_walls = 0.0;
+        for w in walls.iter() {
+            let q = w.conductance * dt * (w.t - t[w.slot as usize]);
+            e[w.slot as usize] += q;
+            from_walls += q;
+        }
+        let t = &*t;
+        e.par_iter_mut().zip(links.par_iter()).zip(neighbours.par_iter()).with_min_len(CHUNK).enumerate().for_each(|(s, ((e, g), nb))| {
+            let mut q = 0.0;
+            for l in 0..6 {
+                q += g[l] * (t[nb[l] as usize] - t[s]);
+            }
+            *e += dt * q;
+        });
+        for &(s, wall) in pinned.iter() {
+            let s = s as usize;
+            let held = mix.energy(media, kind[s], mass[s], wall);
+            from_walls += held - e[s];
+            e[s] = held;
+        }
+        from_walls
+    }
+
+    /// Temperatures from the energies.
+    pub(crate) fn update_temperatures(&mut self, media: &[Medium], mix: &Composition) {
+        let Self { t, e, kind, mass, .. } = self;
+        (t.par_iter_mut(), e.par_iter(), kind.par_iter(), mass.par_iter())
+            .into_par_iter()
+            .with_min_len(CHUNK)
+            .for_each(|(t, e, kind, m)| *t = mix.temperature(media, *kind, *m, *e));
+    }
+
+    /// Energy \[J\] of a node at temperature `t`.
+    pub(crate) fn energy_at(&self, media: &[Medium], mix: &Composition, slot: usize, t: f64) -> f64 {
+        mix.energy(media, self.kind[slot], self.mass[slot], t)
+    }
+}

@@ -1,0 +1,476 @@
+//! The coupling step of the heat: scatter, sources, conduction, gather, audit.
+
+use rayon::prelude::*;
+
+use crate::grid::Grid;
+use crate::material::Material;
+use crate::source::surface::SurfaceMeasure;
+use crate::source::terms::{Context, Terms};
+use crate::source::{HeatSource, SourceReport};
+use crate::thermal::network::{Composition, Kind, Medium, Network};
+use crate::thermal::transfer::{CHUNK, Lattice, Slabs, fixed_sum};
+use crate::thermal::{AirModel, Audit, ThermalError, ThermalOptions, ThermalPoints, Transfer, Wall};
+
+/// Lanes of the node accumulator.
+const ENERGY: usize = 0;
+const MASS: usize = 1;
+const VOLUME: usize = 2;
+const RELAX: usize = 3;
+
+/// Smallest share of a stencil's weight on material nodes from which a tracer takes its temperature (§3.3).
+const TRACER_COVER: f64 = 0.25;
+
+/// Dense node fields of a body at rest on the grid, for tests and for material that does not move.
+#[derive(Debug)]
+pub struct NodeFields<'a> {
+    /// Mass per node \[kg\]; 0 = empty.
+    pub mass: &'a [f64],
+    /// Material volume per node \[m³\].
+    pub volume: &'a [f64],
+    /// Material per node.
+    pub material: &'a [u8],
+    /// Energy per node \[J\].
+    pub energy: &'a mut [f64],
+}
+
+/// Heat conduction in the material points of one grid.
+#[derive(Debug)]
+pub struct ThermalSolver {
+    grid: Grid,
+    options: ThermalOptions,
+    media: Vec<Medium>,
+    lattice: Lattice,
+    slabs: Slabs,
+    network: Network,
+    mix: Composition,
+    surface: SurfaceMeasure,
+    terms: Terms,
+    /// Per node: energy, mass, volume, relaxation.
+    nodes: Vec<[f64; 4]>,
+    /// Per node, only where needed: mass by material used, then by body named in a source.
+    channels: Vec<f64>,
+    stride: usize,
+    bodies: Vec<u16>,
+    single_body: Option<u16>,
+    /// Per node: what the points gather, and the temperature.
+    field: Vec<[f64; 2]>,
+    /// Per point: sub-grid relaxation \[J/kg\].
+    relax: Vec<f64>,
+    partial: Vec<f64>,
+}
+
+impl ThermalSolver {
+    /// A solver for `materials` on `grid`. Enthalpy is zero for solids at `t_ref` \[K\], normally the ambient temperature.
+    pub fn new(grid: Grid, materials: &[Material], t_ref: f64, options: ThermalOptions) -> Self {
+        Self {
+            grid,
+            options,
+            media: materials.iter().map(|m| Medium::new(m, t_ref)).collect(),
+            lattice: Lattice::new(&grid, options.periodic),
+            slabs: Slabs::default(),
+            network: Network::default(),
+            mix: Composition::default(),
+            surface: SurfaceMeasure::default(),
+            terms: Terms::default(),
+            nodes: vec![[0.0; 4]; grid.len()],
+            channels: Vec::new(),
+            stride: 0,
+            bodies: Vec::new(),
+            single_body: None,
+            field: vec![[0.0; 2]; grid.len()],
+            relax: Vec::new(),
+            partial: Vec::new(),
+        }
+    }
+
+    /// Temperature \[K\] of `material` at specific enthalpy `h` \[J/kg\].
+    #[inline]
+    pub fn temperature(&self, material: u8, h: f64) -> f64 {
+        self.media[material as usize].curve.temperature(h)
+    }
+
+    /// Specific enthalpy \[J/kg\] of `material` at temperature `t` \[K\].
+    #[inline]
+    pub fn enthalpy(&self, material: u8, t: f64) -> f64 {
+        self.media[material as usize].curve.enthalpy(t)
+    }
+
+    /// Liquid fraction of `material` at specific enthalpy `h` \[J/kg\].
+    #[inline]
+    pub fn liquid_fraction(&self, material: u8, h: f64) -> f64 {
+        self.media[material as usize].curve.liquid_fraction(h)
+    }
+
+    /// Temperature \[K\] of the node with memory index `node` after the last step; `None` where there was no material.
+    pub fn node_temperature(&self, node: usize) -> Option<f64> {
+        if self.network.len() == 0 {
+            return None;
+        }
+        self.network.slot_of_index(node).map(|s| self.network.t[s])
+    }
+
+    /// Temperature \[K\] of the material at grid coordinate `xi` after the last step, from the nodes that hold material;
+    /// `None` where these carry less than a quarter of the weight.
+    pub fn sample(&self, xi: [f64; 3]) -> Option<f64> {
+        self.ghost(xi, |slot| self.network.t[slot])
+    }
+
+    /// What each source of the last step did, in their order; one more for the film of the air model.
+    pub fn reports(&self) -> &[SourceReport] {
+        &self.terms.reports
+    }
+
+    /// One coupling step of `dt` seconds that ends at `time` + `dt`: conduction, sources, exchange with walls.
+    ///
+    /// `walls` has one entry per grid node. Updates `h` and `grad_t` of the points; tracers (m = 0) receive the enthalpy of
+    /// the material around them, or keep theirs where there is none. Nothing changes if an error is returned. The result is
+    /// the same for any number of threads.
+    pub fn step(
+        &mut self,
+        points: &mut ThermalPoints,
+        dt: f64,
+        time: f64,
+        sources: &[HeatSource],
+        walls: Option<&[Wall]>,
+    ) -> Result<Audit, ThermalError> {
+        let present = self.check(points, walls)?;
+        self.mix.reset(&self.media, &present);
+        self.forget();
+        self.slabs.fill(&self.lattice, points.xi, points.mass);
+        self.scatter(points);
+        self.scatter_channels(points, sources);
+        self.collect();
+        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls);
+
+        let subcycles = self.subcycles(dt)?;
+        if let Transfer::Increments { relaxation } = self.options.transfer {
+            self.relax_points(points, relaxation, dt);
+        }
+        let before = self.point_energy(points);
+        let wall = self.advance(dt, subcycles, time, sources, walls);
+        self.gather(points);
+        let after = self.point_energy(points);
+        Ok(self.audit(before, after, wall, subcycles))
+    }
+
+    /// Conduction and sources for material at rest on the nodes, without points.
+    pub fn step_nodes(
+        &mut self,
+        fields: &mut NodeFields,
+        dt: f64,
+        time: f64,
+        sources: &[HeatSource],
+        walls: Option<&[Wall]>,
+    ) -> Result<Audit, ThermalError> {
+        let n = self.grid.len();
+        let lengths = [fields.mass.len(), fields.volume.len(), fields.material.len(), fields.energy.len()];
+        if lengths.iter().any(|l| *l != n) || walls.is_some_and(|w| w.len() != n) {
+            return Err(ThermalError::Input(format!("fields of {lengths:?} nodes on a grid of {n}")));
+        }
+        self.forget();
+        self.network.clear(self.grid.nodes);
+        self.slabs.touched = self.grid.nodes.map(|n| [0, n]);
+        let cell = self.grid.spacing.powi(3);
+        for i in 0..n {
+            if fields.mass[i] > 0.0 {
+                self.network.push(i, Kind::One(fields.material[i]), fields.mass[i], fields.volume[i] / cell, fields.energy[i]);
+            }
+        }
+        self.single_body = Some(0);
+        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls);
+        let subcycles = self.subcycles(dt)?;
+        let before = self.network.e.iter().sum();
+        let wall = self.advance(dt, subcycles, time, sources, walls);
+        let after = self.network.e.iter().sum();
+        for (i, e) in self.network.dense.iter().zip(&self.network.e) {
+            fields.energy[*i as usize] = *e;
+        }
+        Ok(self.audit(before, after, wall, subcycles))
+    }
+
+    fn check(&self, points: &ThermalPoints, walls: Option<&[Wall]>) -> Result<[bool; 256], ThermalError> {
+        let n = points.xi.len();
+        let lengths =
+            [points.mass.len(), points.volume.len(), points.material.len(), points.object.len(), points.h.len(), points.grad_t.len()];
+        if lengths.iter().any(|l| *l != n) {
+            return Err(ThermalError::Input(format!("{n} positions but slices of {lengths:?}")));
+        }
+        if walls.is_some_and(|w| w.len() != self.grid.len()) {
+            return Err(ThermalError::Input("one wall entry per grid node is needed".into()));
+        }
+        if (0..3).any(|a| self.grid.nodes[a] < 3) {
+            return Err(ThermalError::Input("points need at least three nodes per axis".into()));
+        }
+        let mut present = [false; 256];
+        for m in points.material {
+            present[*m as usize] = true;
+        }
+        match (self.media.len()..256).find(|m| present[*m]) {
+            Some(m) => Err(ThermalError::Input(format!("a point names material {m} of {}", self.media.len()))),
+            None => Ok(present),
+        }
+    }
+
+    /// Clears the accumulators of the nodes that the last step touched.
+    fn forget(&mut self) {
+        for &i in &self.network.dense {
+            let i = i as usize;
+            self.nodes[i] = [0.0; 4];
+            if self.stride > 0 {
+                self.channels[i * self.stride..(i + 1) * self.stride].fill(0.0);
+            }
+        }
+    }
+
+    fn scatter(&mut self, points: &ThermalPoints) {
+        let Self { nodes, slabs, lattice, media, grid, options, .. } = self;
+        let affine = options.transfer != Transfer::PicOverwrite;
+        slabs.scatter(lattice, nodes, 1, |part, first, p| {
+            let m = f64::from(points.mass[p]);
+            let v = f64::from(points.volume[p]);
+            let h = points.h[p];
+            // Energy per unit of weight, and its slope per node spacing.
+            let slope = if affine { m * media[points.material[p] as usize].curve.heat_capacity(h) * grid.spacing } else { 0.0 };
+            let e = m * h;
+            let g = points.grad_t[p].map(|g| slope * f64::from(g));
+            lattice.stencil(points.xi[p]).visit(first, |n, w, d| {
+                let node = &mut part[n];
+                node[ENERGY] += w * (e + g[0] * d[0] + g[1] * d[1] + g[2] * d[2]);
+                node[MASS] += w * m;
+                node[VOLUME] += w * v;
+            });
+        });
+    }
+
+    /// Masses by material and by body, only in scenes that need them.
+    fn scatter_channels(&mut self, points: &ThermalPoints, sources: &[HeatSource]) {
+        self.bodies.clear();
+        self.single_body = points.object.first().copied().filter(|o| points.object.iter().all(|p| p == o));
+        if self.single_body.is_none() {
+            self.bodies.extend(sources.iter().filter_map(|s| s.region.object()));
+            self.bodies.sort_unstable();
+            self.bodies.dedup();
+        }
+        let materials = if self.mix.used.len() > 1 { self.mix.used.len() } else { 0 };
+        let stride = materials + self.bodies.len();
+        if stride != self.stride {
+            self.channels.clear();
+            self.channels.resize(stride * self.grid.len(), 0.0);
+            self.stride = stride;
+        }
+        if stride == 0 {
+            return;
+        }
+        let Self { channels, slabs, lattice, mix, bodies, .. } = self;
+        slabs.scatter(lattice, channels, stride, |part, first, p| {
+            let m = f64::from(points.mass[p]);
+            let material = if materials > 0 { mix.used.binary_search(&points.material[p]).ok() } else { None };
+            let body = bodies.binary_search(&points.object[p]).ok();
+            lattice.stencil(points.xi[p]).visit(first, |n, w, _| {
+                for c in material.into_iter().chain(body.map(|b| materials + b)) {
+                    part[n * stride + c] += w * m;
+                }
+            });
+        });
+    }
+
+    /// Fills the network from the accumulators.
+    fn collect(&mut self) {
+        let Self { network, slabs, grid, nodes, mix, channels, stride, .. } = self;
+        network.clear(grid.nodes);
+        let cell = grid.spacing.powi(3);
+        let [x, y, z] = slabs.touched;
+        let count = mix.used.len();
+        for i in x[0]..x[1] {
+            for j in y[0]..y[1] {
+                let row = grid.index(i, j, 0);
+                for n in row + z[0]..row + z[1] {
+                    let a = nodes[n];
+                    if a[MASS] > 0.0 {
+                        let kind = if count == 1 {
+                            Kind::One(mix.used[0])
+                        } else {
+                            let own = &channels[n * *stride..n * *stride + count];
+                            match own.iter().position(|m| *m == a[MASS]) {
+                                Some(k) => Kind::One(mix.used[k]),
+                                None => {
+                                    mix.mixed.extend_from_slice(own);
+                                    Kind::Mixed((mix.mixed.len() - count) as u32)
+                                }
+                            }
+                        };
+                        network.push(n, kind, a[MASS], a[VOLUME] / cell, a[ENERGY]);
+                    }
+                }
+            }
+        }
+    }
+
+    fn subcycles(&self, dt: f64) -> Result<u32, ThermalError> {
+        let (needed, allowed) = (self.network.subcycles(dt), self.options.max_subcycles);
+        if needed > allowed { Err(ThermalError::TooFast { dt, needed, allowed }) } else { Ok(needed) }
+    }
+
+    /// Sub-grid relaxation: how far each point moves towards the temperature of its nodes, and the sums of that per node.
+    fn relax_points(&mut self, points: &ThermalPoints, relaxation: f64, dt: f64) {
+        let Self { relax, field, network, lattice, media, nodes, slabs, grid, .. } = self;
+        relax.clear();
+        relax.resize(points.xi.len(), 0.0);
+        if relaxation <= 0.0 {
+            return;
+        }
+        for (i, t) in network.dense.iter().zip(&network.t) {
+            field[*i as usize] = [0.0, *t];
+        }
+        let rate = relaxation * dt / (grid.spacing * grid.spacing);
+        relax.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
+            for (o, delta) in chunk.iter_mut().enumerate() {
+                let p = c * CHUNK + o;
+                if points.mass[p] > 0.0 && finite(points.xi[p]) {
+                    let medium = &media[points.material[p] as usize];
+                    let h = points.h[p];
+                    let capacity = medium.curve.heat_capacity(h);
+                    let k = medium.conductivity(medium.curve.liquid_fraction(h));
+                    let zeta = -(-rate * k / (medium.density * capacity)).exp_m1();
+                    let around = lattice.stencil(points.xi[p]).gather(field).value[1];
+                    *delta = -zeta * capacity * (medium.curve.temperature(h) - around);
+                }
+            }
+        });
+        slabs.scatter(lattice, nodes, 1, |part, first, p| {
+            let q = f64::from(points.mass[p]) * relax[p];
+            lattice.stencil(points.xi[p]).visit(first, |n, w, _| part[n][RELAX] += w * q);
+        });
+    }
+
+    /// Sources and conduction; returns the heat from walls.
+    fn advance(&mut self, dt: f64, subcycles: u32, time: f64, sources: &[HeatSource], walls: Option<&[Wall]>) -> f64 {
+        let film = match self.options.air {
+            AirModel::Film(film) => Some(film),
+            AirModel::None => None,
+        };
+        self.surface.area.clear();
+        if film.is_some() || sources.iter().any(|s| s.needs_surface()) {
+            self.surface.compute(&self.lattice, &self.network, &self.slabs.touched, walls);
+        }
+        let Self { network, media, mix, terms, surface, grid, nodes, channels, stride, bodies, single_body, .. } = self;
+        terms.clear();
+        {
+            let share = |id: u16, slot: usize| match (*single_body, bodies.binary_search(&id)) {
+                (Some(only), _) => f64::from(u8::from(only == id)),
+                (None, Ok(b)) => {
+                    let n = network.dense[slot] as usize;
+                    channels[(n + 1) * *stride - bodies.len() + b] / nodes[n][MASS]
+                }
+                (None, Err(_)) => 0.0,
+            };
+            let energy_at = |slot: usize, t: f64| network.energy_at(media, mix, slot, t);
+            let cx = Context { grid, network, area: &surface.area, share: &share, energy_at: &energy_at, time };
+            for source in sources {
+                terms.add(source, &cx);
+            }
+            if let Some(film) = film {
+                terms.add_film(film, &cx);
+            }
+        }
+        let part = dt / f64::from(subcycles);
+        let mut from_walls = 0.0;
+        for _ in 0..subcycles {
+            if !terms.is_empty() {
+                terms.apply(network, part);
+                network.update_temperatures(media, mix);
+            }
+            from_walls += network.conduct(media, mix, part);
+            network.update_temperatures(media, mix);
+        }
+        from_walls
+    }
+
+    fn gather(&mut self, points: &mut ThermalPoints) {
+        let Self { network, nodes, field, options, .. } = self;
+        let overwrite = !matches!(options.transfer, Transfer::Increments { .. });
+        for s in 0..network.len() {
+            let n = network.dense[s] as usize;
+            let gain = if overwrite { network.e[s] } else { network.e[s] - network.e0[s] - nodes[n][RELAX] };
+            field[n] = [gain / network.mass[s], network.t[s]];
+        }
+        let this = &*self;
+        let slope = if options_gradient(this.options.transfer) { 4.0 / this.grid.spacing } else { 0.0 };
+        let (xi, mass, material) = (points.xi, points.mass, points.material);
+        points.h.par_chunks_mut(CHUNK).zip(points.grad_t.par_chunks_mut(CHUNK)).enumerate().for_each(|(c, (h, grad))| {
+            for (o, (h, grad)) in h.iter_mut().zip(grad.iter_mut()).enumerate() {
+                let p = c * CHUNK + o;
+                if !finite(xi[p]) {
+                    continue;
+                }
+                if mass[p] > 0.0 {
+                    let got = this.lattice.stencil(xi[p]).gather(&this.field);
+                    *h = if overwrite { got.value[0] } else { *h + this.relax[p] + got.value[0] };
+                    *grad = got.moment.map(|m| (slope * m) as f32);
+                } else {
+                    this.listen(xi[p], material[p], h);
+                }
+            }
+        });
+    }
+
+    /// Gives a tracer the state of the material around it.
+    fn listen(&self, xi: [f64; 3], material: u8, h: &mut f64) {
+        let network = &self.network;
+        // With one material the enthalpy itself is interpolated, so that tracers know how far melting has come.
+        let one = self.mix.used.as_slice() == [material];
+        let value = if one {
+            self.ghost(xi, |s| network.e[s] / network.mass[s])
+        } else {
+            self.ghost(xi, |s| network.t[s]).map(|t| self.enthalpy(material, t))
+        };
+        if let Some(value) = value {
+            *h = value;
+        }
+    }
+
+    /// Weighted mean over the material nodes of a stencil.
+    fn ghost(&self, xi: [f64; 3], value: impl Fn(usize) -> f64) -> Option<f64> {
+        if self.network.len() == 0 || !finite(xi) {
+            return None;
+        }
+        let (mut sum, mut weight) = (0.0, 0.0);
+        self.lattice.stencil(xi).visit(0, |n, w, _| {
+            if let Some(s) = self.network.slot_of_index(n) {
+                sum += w * value(s);
+                weight += w;
+            }
+        });
+        (weight >= TRACER_COVER).then(|| sum / weight)
+    }
+
+    fn point_energy(&mut self, points: &ThermalPoints) -> f64 {
+        fixed_sum(points.h.len(), &mut self.partial, |p| if points.mass[p] > 0.0 { f64::from(points.mass[p]) * points.h[p] } else { 0.0 })
+    }
+
+    fn audit(&self, before: f64, after: f64, wall: f64, subcycles: u32) -> Audit {
+        let [source, dirichlet, film] = self.terms.totals();
+        Audit {
+            before,
+            after,
+            source,
+            dirichlet,
+            film,
+            wall,
+            residual: after - before - (source + dirichlet + film + wall),
+            surface: self.surface.area.iter().sum::<f64>() * self.grid.spacing.powi(2),
+            subcycles,
+            skipped: self.slabs.skipped as u32,
+        }
+    }
+}
+
+#[inline(always)]
+fn finite(x: [f64; 3]) -> bool {
+    x.iter().all(|v| v.is_finite())
+}
+
+/// True for the schemes whose points carry a temperature gradient.
+fn options_gradient(transfer: Transfer) -> bool {
+    transfer != Transfer::PicOverwrite
+}
