@@ -1,1 +1,14 @@
-//! Splats to a body that can be simulated: selection, outward normals, ray-traced filling, volumes
+//! Splats to a body that can be simulated: selection, outward normals, ray-traced filling, volumes (splatting.md §5.11,
+//! §6). [`build_body`] does it all; the modules are its steps.
+
+pub mod background;
+pub mod bake;
+mod body;
+pub mod fill;
+mod neighbours;
+pub mod orient;
+mod polygon;
+pub mod select;
+pub mod volumes;
+
+pub use body::{Body, BodyError, BodyReport, BodySettings, Internal, Placement, SplitSettings, build_body};
