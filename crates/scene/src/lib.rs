@@ -1,1 +1,47 @@
-//! scene.toml to a typed scene and back: presets, materials, validation, JSON Schema
+//! `scene.toml` ↔ typed scene: presets, materials, validation with helpful errors, JSON Schema.
+//!
+//! A scene file needs one line, `[input] splat = "thing.ply"`; everything else has a default:
+//!
+//! ```
+//! let scene = megas_scene::Scene::parse("[input]\nasset = \"ice-cream\"\n", "scene.toml").unwrap();
+//! assert_eq!(scene.quality, megas_scene::Quality::Default);
+//! ```
+//!
+//! The data's way: text → [`Scene::parse`] checks it against the [`json_schema`] (unknown keys, types, ranges, all reported at once with line and
+//! column), reads it into [`Scene`], then checks what no schema can say (references, exclusive keys, materials). Materials leave as
+//! [`ResolvedMaterial`] in SI units; regions and positions leave through a [`Placement`].
+
+mod camera;
+mod check;
+mod collider;
+mod diagnostic;
+mod heat;
+mod material;
+mod material_checks;
+mod object;
+mod output;
+mod presets;
+mod scene;
+mod schema;
+mod semantic;
+mod settings;
+mod shape;
+mod value;
+
+pub use camera::{Camera, CameraKey, Orbit};
+pub use collider::{Collider, ColliderMode, ColliderShape, Support};
+pub use diagnostic::{Diagnostic, SceneError, Severity};
+pub use heat::{Heat, HeatKind, MotionKey, Quantity, Region, Schedule};
+pub use material::{Law, MaterialContext, MaterialError, MaterialSpec, ResolvedMaterial};
+pub use material_checks::{MaterialReport, StepLimits};
+pub use object::{Input, Object, Select};
+pub use output::{Film, Output};
+pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
+pub use scene::{Clock, Scene};
+pub use schema::json_schema;
+pub use settings::{Air, AirMode, Fill, FillMethod, OpenBottom, PhaseMode, Push, Quality, Simulation, Skin, Time};
+pub use shape::{BoxShape, Frame, HalfSpace, Placement, Plane, SiShape, Sphere, Tube};
+pub use value::{Auto, Colour, Up};
+
+/// Offset between degrees Celsius (scene files) and kelvin (everything inside).
+pub const CELSIUS_K: f64 = 273.15;

@@ -1,0 +1,416 @@
+//! Materials as people write them, and their resolution to the numbers the simulator needs (simulation.md §2.5, §5, §10.3).
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::CELSIUS_K;
+use crate::presets::{DEFAULT_MATERIAL, preset};
+use crate::settings::PhaseMode;
+
+/// Constitutive law of the elastic response.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Law {
+    /// StVK with Hencky strain; the only law that melts.
+    Hencky,
+    /// Fixed corotated: elastic bodies that never melt.
+    FixedCorotated,
+}
+
+/// A material of a scene file: a preset with changes. Keys left out keep the preset's value.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct MaterialSpec {
+    /// The preset to start from (see `megas materials`); "soft-wax" if left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preset: Option<String>,
+    /// Elastic law: "hencky" (melts) or "fixed_corotated" (never melts).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub law: Option<Law>,
+    /// Density in kg/m³.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1.0, max = 30000.0))]
+    pub density_kg_m3: Option<f64>,
+    /// Stiffness by how much an object sags under its own weight, as a share of its height, instead of `youngs_modulus_pa`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0005, max = 0.1))]
+    pub sag_ratio: Option<f64>,
+    /// Young's modulus in Pa. Cost grows with its square root; real values of stiff things are out of reach, see `sag_ratio`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 10.0, max = 1e10))]
+    pub youngs_modulus_pa: Option<f64>,
+    /// Poisson's ratio, 0–0.45.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 0.45))]
+    pub poisson_ratio: Option<f64>,
+    /// Uniaxial yield stress of the solid in Pa; default 5 % of Young's modulus.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e12))]
+    pub solid_yield_stress_pa: Option<f64>,
+    /// Share of its stiffness that the solid loses on the way to the solidus, 0–0.9; default 0.5.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 0.9))]
+    pub softening: Option<f64>,
+    /// Temperature in °C where softening begins; default: the temperature at the start.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -273.15, max = 5000.0))]
+    pub softening_start_c: Option<f64>,
+    /// Shear modulus of the melt as a share of the bulk modulus, 0.01–1; default 0.3.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.01, max = 1.0))]
+    pub melt_stiffness_ratio: Option<f64>,
+    /// Yield stress τ_0 of the melt in Pa: what it carries without flowing. Cream 30, ketchup 15, water 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub melt_yield_stress_pa: Option<f64>,
+    /// Consistency κ of the melt in Pa·sⁿ; its viscosity in Pa·s where n = 1. Honey 5, water 0.001.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1e-4, max = 1e6))]
+    pub melt_consistency_pa_sn: Option<f64>,
+    /// Flow index n of the melt, 0.2–2; below 1 it thins when sheared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.2, max = 2.0))]
+    pub melt_flow_index: Option<f64>,
+    /// Arrhenius constant B of the melt's viscosity in K: 0 for none, wax 2000–8000, lava 25000.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e5))]
+    pub arrhenius_k: Option<f64>,
+    /// Specific heat of the solid in J/(kg·K).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1.0, max = 1e5))]
+    pub heat_capacity_solid_j_kg_k: Option<f64>,
+    /// Specific heat of the melt in J/(kg·K).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1.0, max = 1e5))]
+    pub heat_capacity_liquid_j_kg_k: Option<f64>,
+    /// Conductivity of the solid in W/(m·K).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1e-3, max = 1e4))]
+    pub conductivity_solid_w_m_k: Option<f64>,
+    /// Conductivity of the melt in W/(m·K).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1e-3, max = 1e4))]
+    pub conductivity_liquid_w_m_k: Option<f64>,
+    /// Latent heat of melting in J/kg.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e7))]
+    pub latent_heat_j_kg: Option<f64>,
+    /// Melting point in °C; short for equal `solidus_c` and `liquidus_c`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -273.15, max = 5000.0))]
+    pub melt_temperature_c: Option<f64>,
+    /// Melting begins here, in °C.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -273.15, max = 5000.0))]
+    pub solidus_c: Option<f64>,
+    /// Melting ends here, in °C; at least `solidus_c`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -273.15, max = 5000.0))]
+    pub liquidus_c: Option<f64>,
+    /// false: never melts, whatever the preset says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub melts: Option<bool>,
+}
+
+/// What a material's numbers depend on besides the material itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MaterialContext {
+    /// Height of the object H \[m\], > 0.
+    pub object_height_m: f64,
+    /// Gravity g \[m/s²\], ≥ 0; the visual stiffness uses 9.81 where it is zero.
+    pub gravity_m_s2: f64,
+    /// Sag ratio ε of the visual stiffness, 0.0005–0.1.
+    pub sag_ratio: f64,
+    /// Temperature of the surroundings T_∞ \[K\].
+    pub ambient_k: f64,
+    /// Temperature of the object at the start \[K\]; `None` = the default of [`ResolvedMaterial::initial_temperature_k`].
+    pub initial_k: Option<f64>,
+    /// The largest speed planned at load \[m/s\]: drop height, moving colliders; 0 for an object that only slumps.
+    pub max_speed_m_s: f64,
+    /// Phase rule.
+    pub phase_mode: PhaseMode,
+    /// Switching hysteresis δ \[K\].
+    pub hysteresis_k: f64,
+}
+
+/// A contradiction in a material.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{key}: {message}")]
+pub struct MaterialError {
+    /// The key at fault.
+    pub key: &'static str,
+    /// What is wrong and what to do.
+    pub message: String,
+}
+
+/// A material in SI units, number for number what the simulator takes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ResolvedMaterial {
+    /// Name for messages.
+    pub name: String,
+    /// Elastic law.
+    pub law: Law,
+    /// Density ρ \[kg/m³\].
+    pub density: f64,
+    /// Young's modulus of the cold solid E* \[Pa\]; `shear_modulus` follows from it.
+    pub youngs_modulus: f64,
+    /// Shear modulus of the cold solid μ_s \[Pa\].
+    pub shear_modulus: f64,
+    /// Bulk modulus K \[Pa\], the same in both phases; at least what weak compressibility needs (simulation.md §5.3).
+    pub bulk_modulus: f64,
+    /// Uniaxial yield stress of the solid \[Pa\]; infinite = purely elastic.
+    pub solid_yield_stress: f64,
+    /// Shear modulus of the melt μ_l \[Pa\], ≤ μ_s.
+    pub melt_shear_modulus: f64,
+    /// Yield stress of the melt τ_0 \[Pa\].
+    pub melt_yield_stress: f64,
+    /// Consistency of the melt κ \[Pa·sⁿ\].
+    pub melt_consistency: f64,
+    /// Flow index of the melt n.
+    pub melt_flow_index: f64,
+    /// Arrhenius constant B \[K\].
+    pub arrhenius_k: f64,
+    /// Loss of stiffness on the way to the solidus.
+    pub softening: f64,
+    /// Temperature at which the solid has its full stiffness \[K\].
+    pub reference_temperature: f64,
+    /// Specific heat of the solid \[J/(kg·K)\].
+    pub heat_capacity_solid: f64,
+    /// Specific heat of the melt \[J/(kg·K)\].
+    pub heat_capacity_liquid: f64,
+    /// Conductivity of the solid \[W/(m·K)\].
+    pub conductivity_solid: f64,
+    /// Conductivity of the melt \[W/(m·K)\].
+    pub conductivity_liquid: f64,
+    /// Latent heat \[J/kg\].
+    pub latent_heat: f64,
+    /// Solidus \[K\]; infinite = never melts.
+    pub solidus: f64,
+    /// Liquidus \[K\], ≥ solidus.
+    pub liquidus: f64,
+    /// Phase rule.
+    pub phase_mode: PhaseMode,
+}
+
+impl MaterialSpec {
+    /// The preset of that name without changes.
+    pub fn from_preset(name: &str) -> Self {
+        Self { preset: Some(name.into()), ..Self::default() }
+    }
+
+    /// Solidus and liquidus in °C; infinite if the material never melts.
+    fn melting_range_c(&self, base: (f64, f64)) -> Result<(f64, f64), MaterialError> {
+        let fail = |key, message: &str| Err(MaterialError { key, message: message.into() });
+        let given = self.melt_temperature_c.is_some() || self.solidus_c.is_some() || self.liquidus_c.is_some();
+        if self.melts == Some(false) {
+            return if given {
+                fail("melts", "is false, but a melting temperature is given; remove one")
+            } else {
+                Ok((f64::INFINITY, f64::INFINITY))
+            };
+        }
+        if let Some(t) = self.melt_temperature_c {
+            if self.solidus_c.is_some() || self.liquidus_c.is_some() {
+                return fail("melt_temperature_c", "stands for solidus_c and liquidus_c at once; give either it or those two");
+            }
+            return Ok((t, t));
+        }
+        let (solidus, liquidus) = match (self.solidus_c, self.liquidus_c) {
+            // One end alone over a preset that never melts, or beyond the preset's other end, is a sharp melting point.
+            (Some(s), None) => (s, if base.1.is_finite() { base.1.max(s) } else { s }),
+            (None, Some(l)) => (base.0.min(l), l),
+            (Some(s), Some(l)) => (s, l),
+            (None, None) => base,
+        };
+        if solidus > liquidus {
+            return Err(MaterialError {
+                key: "solidus_c",
+                message: format!("is {solidus} °C, above liquidus_c = {liquidus} °C; melting begins at the solidus"),
+            });
+        }
+        if self.melts == Some(true) && !liquidus.is_finite() {
+            return fail("melts", "is true, but the preset has no melting temperature; give melt_temperature_c");
+        }
+        Ok((solidus, liquidus))
+    }
+
+    /// The numbers in SI. `name` is for messages; `context` gives size, gravity and temperatures.
+    pub fn resolve(&self, name: &str, context: &MaterialContext) -> Result<ResolvedMaterial, MaterialError> {
+        let base_name = self.preset.as_deref().unwrap_or(DEFAULT_MATERIAL);
+        let base = preset(base_name)
+            .ok_or_else(|| MaterialError { key: "preset", message: format!("\"{base_name}\" is not a material preset") })?;
+
+        let (solidus_c, liquidus_c) = self.melting_range_c((base.solidus_c, base.liquidus_c))?;
+        let never_melts = !solidus_c.is_finite();
+        let law = self.law.unwrap_or(if base.law == Law::FixedCorotated && !never_melts { Law::Hencky } else { base.law });
+        if law == Law::FixedCorotated && !never_melts {
+            let message = "\"fixed_corotated\" cannot melt; use \"hencky\", or melts = false".into();
+            return Err(MaterialError { key: "law", message });
+        }
+
+        let density = self.density_kg_m3.unwrap_or(base.density_kg_m3);
+        if self.sag_ratio.is_some() && self.youngs_modulus_pa.is_some() {
+            let message = "and youngs_modulus_pa both give the stiffness; remove one".into();
+            return Err(MaterialError { key: "sag_ratio", message });
+        }
+        let visual_gravity = if context.gravity_m_s2 > 0.0 { context.gravity_m_s2 } else { 9.81 };
+        let weight = density * visual_gravity * context.object_height_m;
+        let youngs_modulus = self.youngs_modulus_pa.unwrap_or(weight / self.sag_ratio.unwrap_or(context.sag_ratio));
+        let nu = self.poisson_ratio.unwrap_or(base.poisson_ratio);
+        let shear_modulus = youngs_modulus / (2.0 * (1.0 + nu));
+        // A melt is nearly incompressible only if K stands well above its pressures (simulation.md §5.3). Elastic bodies keep their own.
+        let stiff_enough =
+            (100.0 * density * context.max_speed_m_s.powi(2)).max(density * context.gravity_m_s2 * context.object_height_m / 0.01);
+        let elastic_bulk = youngs_modulus / (3.0 * (1.0 - 2.0 * nu));
+        let bulk_modulus = if never_melts { elastic_bulk } else { elastic_bulk.max(stiff_enough) };
+
+        let (mut solidus, mut liquidus) = (solidus_c + CELSIUS_K, liquidus_c + CELSIUS_K);
+        let latent_heat = self.latent_heat_j_kg.unwrap_or(base.latent_heat_j_kg);
+        // Without latent heat a sharp melting point has no enthalpy interval to blend over (simulation.md §5.5).
+        let width = context.hysteresis_k.max(0.1);
+        if latent_heat == 0.0 && liquidus - solidus < width && !never_melts && context.phase_mode == PhaseMode::Mushy {
+            let middle = 0.5 * (solidus + liquidus);
+            (solidus, liquidus) = (middle - 0.5 * width, middle + 0.5 * width);
+        }
+
+        let elastic = never_melts && self.solid_yield_stress_pa.is_none();
+        let mut material = ResolvedMaterial {
+            name: name.into(),
+            law,
+            density,
+            youngs_modulus,
+            shear_modulus,
+            bulk_modulus,
+            solid_yield_stress: if elastic { f64::INFINITY } else { self.solid_yield_stress_pa.unwrap_or(0.05 * youngs_modulus) },
+            melt_shear_modulus: (self.melt_stiffness_ratio.unwrap_or(0.3) * bulk_modulus).min(shear_modulus),
+            melt_yield_stress: self.melt_yield_stress_pa.unwrap_or(base.melt_yield_stress_pa),
+            melt_consistency: self.melt_consistency_pa_sn.unwrap_or(base.melt_consistency_pa_sn),
+            melt_flow_index: self.melt_flow_index.unwrap_or(base.melt_flow_index),
+            arrhenius_k: self.arrhenius_k.unwrap_or(base.arrhenius_k),
+            softening: if never_melts { 0.0 } else { self.softening.unwrap_or(0.5) },
+            reference_temperature: context.ambient_k,
+            heat_capacity_solid: self.heat_capacity_solid_j_kg_k.unwrap_or(base.heat_capacity_solid_j_kg_k),
+            heat_capacity_liquid: self.heat_capacity_liquid_j_kg_k.unwrap_or(base.heat_capacity_liquid_j_kg_k),
+            conductivity_solid: self.conductivity_solid_w_m_k.unwrap_or(base.conductivity_solid_w_m_k),
+            conductivity_liquid: self.conductivity_liquid_w_m_k.unwrap_or(base.conductivity_liquid_w_m_k),
+            latent_heat,
+            solidus,
+            liquidus,
+            phase_mode: context.phase_mode,
+        };
+        let start = self.softening_start_c.map(|c| c + CELSIUS_K).or(context.initial_k);
+        let start = start.unwrap_or_else(|| material.initial_temperature_k(context.ambient_k));
+        // The ramp needs some length: an object that starts near its solidus softens over the last 10 K below it.
+        material.reference_temperature = start.min(material.solidus - 10.0);
+        Ok(material)
+    }
+}
+
+impl ResolvedMaterial {
+    /// Default temperature at the start, `min(T_∞, T_s − 10 K)` (simulation.md §1.1).
+    pub fn initial_temperature_k(&self, ambient_k: f64) -> f64 {
+        ambient_k.min(self.solidus - 10.0)
+    }
+
+    /// Melting point, the middle of the mushy interval \[K\]; infinite if it never melts.
+    pub fn melting_point(&self) -> f64 {
+        0.5 * (self.solidus + self.liquidus)
+    }
+
+    /// Elastic wave speed of the cold solid \[m/s\].
+    pub fn wave_speed(&self) -> f64 {
+        ((self.bulk_modulus + 4.0 / 3.0 * self.shear_modulus) / self.density).sqrt()
+    }
+
+    /// Rough time to melt at nature's pace \[s\] (simulation.md §10.3): the slower of what the surface flux `flux_w_m2` brings and of what
+    /// conduction through the melt lets pass from a surface at `surface_k`. `depth_m` is volume over heated area V/A, `start_k` the
+    /// temperature before. Infinite if nothing drives it or it never melts.
+    pub fn melt_time_s(&self, depth_m: f64, start_k: f64, flux_w_m2: Option<f64>, surface_k: Option<f64>) -> f64 {
+        let melting_point = self.melting_point();
+        if !melting_point.is_finite() {
+            return f64::INFINITY;
+        }
+        let need = self.density * (self.latent_heat + self.heat_capacity_solid * (melting_point - start_k).max(0.0));
+        let by_flux = flux_w_m2.map(|q| if q > 0.0 { need * depth_m / q } else { f64::INFINITY });
+        // The design's estimate counts the latent heat alone; with the sensible heat it also holds for materials that have none.
+        let by_conduction = surface_k.map(|t| match t - melting_point {
+            d if d > 0.0 => need * depth_m * depth_m / (2.0 * self.conductivity_liquid * d),
+            _ => f64::INFINITY,
+        });
+        match (by_flux, by_conduction) {
+            (Some(a), Some(b)) => a.max(b),
+            (Some(t), None) | (None, Some(t)) => t,
+            (None, None) => f64::INFINITY,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn context() -> MaterialContext {
+        MaterialContext {
+            object_height_m: 0.2,
+            gravity_m_s2: 9.81,
+            sag_ratio: 0.005,
+            ambient_k: 293.15,
+            initial_k: None,
+            max_speed_m_s: 0.0,
+            phase_mode: PhaseMode::Mushy,
+            hysteresis_k: 1.0,
+        }
+    }
+
+    #[test]
+    fn visual_stiffness_follows_size_and_sag() {
+        // The example of simulation.md §2.5: ρ = 1000, H = 0.2 m, 0.5 %: E* ≈ 4e5 Pa and c ≈ 23 m/s.
+        let m = MaterialSpec::default().resolve("m", &context()).unwrap();
+        assert!((m.youngs_modulus - 392_400.0).abs() < 1.0, "{}", m.youngs_modulus);
+        assert!((m.wave_speed() - 23.0).abs() < 0.5, "{}", m.wave_speed());
+        assert!((m.bulk_modulus / m.youngs_modulus - 0.8333).abs() < 1e-3);
+        // A softer solid keeps the bulk modulus of a weakly compressible melt.
+        let soft = MaterialSpec { sag_ratio: Some(0.05), ..MaterialSpec::default() }.resolve("m", &context()).unwrap();
+        assert!((soft.bulk_modulus - 1000.0 * 9.81 * 0.2 / 0.01).abs() < 1e-6);
+        assert!(soft.melt_shear_modulus <= soft.shear_modulus);
+    }
+
+    #[test]
+    fn melting_without_latent_heat_gets_an_interval() {
+        let m = MaterialSpec::default().resolve("m", &context()).unwrap();
+        assert!((m.solidus - 329.5).abs() < 1e-9 && (m.liquidus - 330.5).abs() < 1e-9);
+        let ice = MaterialSpec::from_preset("water-ice").resolve("ice", &context()).unwrap();
+        assert_eq!((ice.solidus, ice.liquidus), (273.15, 273.15));
+        assert_eq!(ice.initial_temperature_k(293.15), 263.15);
+    }
+
+    #[test]
+    fn contradictions_name_their_key() {
+        let key = |s: MaterialSpec| s.resolve("m", &context()).unwrap_err().key;
+        assert_eq!(key(MaterialSpec { sag_ratio: Some(0.01), youngs_modulus_pa: Some(1e5), ..Default::default() }), "sag_ratio");
+        assert_eq!(key(MaterialSpec { solidus_c: Some(50.0), liquidus_c: Some(40.0), ..Default::default() }), "solidus_c");
+        assert_eq!(key(MaterialSpec { melts: Some(false), solidus_c: Some(50.0), ..Default::default() }), "melts");
+        assert_eq!(key(MaterialSpec { law: Some(Law::FixedCorotated), ..Default::default() }), "law");
+        assert_eq!(key(MaterialSpec::from_preset("adamantium")), "preset");
+    }
+
+    #[test]
+    fn an_elastic_preset_can_be_made_to_melt_and_back() {
+        let e = MaterialSpec::from_preset("elastic").resolve("e", &context()).unwrap();
+        assert!(e.solidus.is_infinite() && e.solid_yield_stress.is_infinite() && e.law == Law::FixedCorotated);
+        assert_eq!(e.reference_temperature, 293.15);
+        let molten =
+            MaterialSpec { melt_temperature_c: Some(80.0), ..MaterialSpec::from_preset("elastic") }.resolve("e", &context()).unwrap();
+        assert!(molten.law == Law::Hencky && (molten.melting_point() - 353.15).abs() < 1e-9);
+    }
+
+    #[test]
+    fn melt_times_have_the_right_size() {
+        let ice = MaterialSpec::from_preset("water-ice").resolve("ice", &context()).unwrap();
+        // 917 · (334e3 + 2100 · 10) J/m³ over 1 cm at 300 W/m²: three hours.
+        let t = ice.melt_time_s(0.01, 263.15, Some(300.0), None);
+        assert!((t - 917.0 * 355e3 * 0.01 / 300.0).abs() < 1e-6 * t);
+        assert!(ice.melt_time_s(0.01, 263.15, None, Some(270.0)).is_infinite());
+        assert!(ice.melt_time_s(0.01, 263.15, Some(1e9), Some(333.15)) > 100.0);
+    }
+}

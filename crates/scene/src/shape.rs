@@ -1,0 +1,284 @@
+//! Shapes, the two frames they may be given in, and the way from both to metres (simulation.md §0.1).
+
+use megas_math::{Mat3, mat3, vec3};
+use megas_model::Similarity;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What positions and lengths of a shape mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Frame {
+    /// Relative to the box of the objects at rest, with +z up whatever the file's axes are: positions run from 0 to 1 along each side
+    /// of the box ([0.5, 0.5, 1] is the middle of its top), lengths are fractions of its longest side. Fits any input file.
+    #[default]
+    Object,
+    /// The input file's own coordinates and units.
+    Scene,
+}
+
+/// A ball.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sphere {
+    /// Centre.
+    pub center: [f64; 3],
+    /// Radius, > 0.
+    #[schemars(range(min = 1e-9, max = 1e9))]
+    pub radius: f64,
+}
+
+/// A box between two corners, optionally turned about its centre.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BoxShape {
+    /// Smallest corner.
+    pub min: [f64; 3],
+    /// Largest corner.
+    pub max: [f64; 3],
+    /// Rotation about the centre of the box in degrees: about x, then y, then z (fixed axes).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotation_deg: Option<[f64; 3]>,
+}
+
+/// A cylinder or capsule around the line from `from` to `to`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Tube {
+    /// One end of the axis.
+    pub from: [f64; 3],
+    /// The other end of the axis.
+    pub to: [f64; 3],
+    /// Radius, > 0.
+    #[schemars(range(min = 1e-9, max = 1e9))]
+    pub radius: f64,
+}
+
+/// Everything on the side of a plane that `direction` points to.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct HalfSpace {
+    /// A point of the plane.
+    pub point: [f64; 3],
+    /// Direction into the half-space; any length but zero.
+    pub direction: [f64; 3],
+}
+
+/// A solid floor or wall: material stays on the side that `normal` points to.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Plane {
+    /// A point of the surface.
+    pub point: [f64; 3],
+    /// Direction out of the solid; any length but zero.
+    pub normal: [f64; 3],
+}
+
+impl BoxShape {
+    /// Centre, half sides, and the rotation whose columns are the box's axes.
+    pub fn oriented(&self) -> ([f64; 3], [f64; 3], Mat3<f64>) {
+        let center = std::array::from_fn(|a| 0.5 * (self.min[a] + self.max[a]));
+        let half = std::array::from_fn(|a| 0.5 * (self.max[a] - self.min[a]));
+        let axes = self.rotation_deg.map_or(mat3::diag([1.0; 3]), euler_xyz);
+        (center, half, axes)
+    }
+}
+
+/// Rotation about the fixed x, then y, then z axis; angles in degrees.
+fn euler_xyz(deg: [f64; 3]) -> Mat3<f64> {
+    let [(sx, cx), (sy, cy), (sz, cz)] = deg.map(|d| d.to_radians().sin_cos());
+    let x = [[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]];
+    let y = [[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]];
+    let z = [[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]];
+    mat3::mul(z, mat3::mul(y, x))
+}
+
+/// A shape in metres and simulator axes (+z up).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SiShape {
+    /// A ball.
+    Sphere {
+        /// Centre \[m\].
+        center: [f64; 3],
+        /// Radius \[m\].
+        radius: f64,
+    },
+    /// An oriented box.
+    Box {
+        /// Centre \[m\].
+        center: [f64; 3],
+        /// Half sides \[m\].
+        half: [f64; 3],
+        /// Rotation whose columns are the box's axes.
+        axes: Mat3<f64>,
+    },
+    /// A cylinder with flat ends.
+    Cylinder {
+        /// One end of the axis \[m\].
+        from: [f64; 3],
+        /// The other end \[m\].
+        to: [f64; 3],
+        /// Radius \[m\].
+        radius: f64,
+    },
+    /// A cylinder with round ends.
+    Capsule {
+        /// One end of the axis \[m\].
+        from: [f64; 3],
+        /// The other end \[m\].
+        to: [f64; 3],
+        /// Radius \[m\].
+        radius: f64,
+    },
+    /// Everything on the side that `direction` points to.
+    HalfSpace {
+        /// A point of the plane \[m\].
+        point: [f64; 3],
+        /// Unit direction into the half-space.
+        direction: [f64; 3],
+    },
+}
+
+impl SiShape {
+    /// True if the point \[m\] lies inside.
+    pub fn contains(&self, x: [f64; 3]) -> bool {
+        match *self {
+            Self::Sphere { center, radius } => vec3::norm(vec3::sub(x, center)) <= radius,
+            Self::Box { center, half, axes } => {
+                let local = mat3::tmul_vec(axes, vec3::sub(x, center));
+                (0..3).all(|a| local[a].abs() <= half[a])
+            }
+            Self::Cylinder { from, to, radius } | Self::Capsule { from, to, radius } => {
+                let axis = vec3::sub(to, from);
+                let length2 = vec3::dot(axis, axis).max(f64::MIN_POSITIVE);
+                let s = vec3::dot(vec3::sub(x, from), axis) / length2;
+                if matches!(self, Self::Cylinder { .. }) && !(0.0..=1.0).contains(&s) {
+                    return false;
+                }
+                vec3::norm(vec3::sub(x, vec3::add_scaled(from, axis, s.clamp(0.0, 1.0)))) <= radius
+            }
+            Self::HalfSpace { point, direction } => vec3::dot(vec3::sub(x, point), direction) >= 0.0,
+        }
+    }
+}
+
+/// Where the objects are: what turns positions of a scene file into metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// Scene units and axes ↔ metres and simulator axes.
+    pub similarity: Similarity,
+    /// Smallest corner of the box of all objects at rest \[m\].
+    pub box_min: [f64; 3],
+    /// Largest corner of that box \[m\].
+    pub box_max: [f64; 3],
+}
+
+impl Placement {
+    /// A position of the file → metres.
+    pub fn point(&self, frame: Frame, p: [f64; 3]) -> [f64; 3] {
+        match frame {
+            Frame::Scene => self.similarity.to_si(p),
+            Frame::Object => std::array::from_fn(|a| self.box_min[a] + p[a] * (self.box_max[a] - self.box_min[a])),
+        }
+    }
+
+    /// A length of the file → metres.
+    pub fn length(&self, frame: Frame, length: f64) -> f64 {
+        match frame {
+            Frame::Scene => length * self.similarity.metres_per_unit,
+            Frame::Object => length * (0..3).map(|a| self.box_max[a] - self.box_min[a]).fold(0.0, f64::max),
+        }
+    }
+
+    /// A direction of the file → simulator axes, unit length.
+    pub fn direction(&self, frame: Frame, d: [f64; 3]) -> [f64; 3] {
+        let d = match frame {
+            Frame::Scene => self.similarity.direction_to_si(d),
+            Frame::Object => d,
+        };
+        vec3::normalize_or(d, [0.0, 0.0, 1.0])
+    }
+
+    /// A ball of the file in metres.
+    pub fn sphere(&self, frame: Frame, s: &Sphere) -> SiShape {
+        SiShape::Sphere { center: self.point(frame, s.center), radius: self.length(frame, s.radius) }
+    }
+
+    /// A box of the file in metres.
+    pub fn boxed(&self, frame: Frame, b: &BoxShape) -> SiShape {
+        let (center, half, axes) = b.oriented();
+        let center = self.point(frame, center);
+        match frame {
+            Frame::Scene => {
+                SiShape::Box { center, half: half.map(|h| self.length(frame, h)), axes: mat3::mul(self.similarity.rotation, axes) }
+            }
+            Frame::Object => {
+                let half = std::array::from_fn(|a| half[a] * (self.box_max[a] - self.box_min[a]));
+                SiShape::Box { center, half, axes }
+            }
+        }
+    }
+
+    /// A cylinder of the file in metres.
+    pub fn cylinder(&self, frame: Frame, t: &Tube) -> SiShape {
+        SiShape::Cylinder { from: self.point(frame, t.from), to: self.point(frame, t.to), radius: self.length(frame, t.radius) }
+    }
+
+    /// A capsule of the file in metres.
+    pub fn capsule(&self, frame: Frame, t: &Tube) -> SiShape {
+        SiShape::Capsule { from: self.point(frame, t.from), to: self.point(frame, t.to), radius: self.length(frame, t.radius) }
+    }
+
+    /// A half-space of the file in metres.
+    pub fn half_space(&self, frame: Frame, h: &HalfSpace) -> SiShape {
+        SiShape::HalfSpace { point: self.point(frame, h.point), direction: self.direction(frame, h.direction) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn placement() -> Placement {
+        // A y-down file, 0.1 m per unit; the objects' box is 0.2 × 0.1 × 0.4 m.
+        let rotation = Similarity::rotation_from_up([0.0, -1.0, 0.0]);
+        let similarity = Similarity { metres_per_unit: 0.1, rotation, origin: [1.0, 2.0, 3.0] };
+        Placement { similarity, box_min: [-0.1, -0.05, -0.2], box_max: [0.1, 0.05, 0.2] }
+    }
+
+    #[test]
+    fn the_object_frame_spans_the_box_and_the_scene_frame_follows_the_file() {
+        let p = placement();
+        assert_eq!(p.point(Frame::Object, [0.5, 0.5, 1.0]), [0.0, 0.0, 0.2]);
+        assert!((p.length(Frame::Object, 0.5) - 0.2).abs() < 1e-15);
+        // One scene unit against y is one unit up.
+        let up = p.point(Frame::Scene, [1.0, 1.0, 3.0]);
+        assert!((up[2] - 0.1).abs() < 1e-12 && up[0].abs() + up[1].abs() < 1e-12, "{up:?}");
+    }
+
+    #[test]
+    fn shapes_contain_the_same_points_in_both_frames() {
+        let p = placement();
+        let tall = BoxShape { min: [0.0, 0.0, 0.5], max: [1.0, 1.0, 1.0], rotation_deg: None };
+        let upper = p.boxed(Frame::Object, &tall);
+        assert!(upper.contains([0.09, 0.04, 0.01]) && !upper.contains([0.09, 0.04, -0.01]) && !upper.contains([0.09, 0.06, 0.01]));
+        let tube = Tube { from: [0.5, 0.5, 0.0], to: [0.5, 0.5, 1.0], radius: 0.1 };
+        assert!(!p.cylinder(Frame::Object, &tube).contains([0.0, 0.0, 0.23]));
+        assert!(p.capsule(Frame::Object, &tube).contains([0.0, 0.0, 0.23]));
+        let half = HalfSpace { point: [1.0, 2.0, 3.0], direction: [0.0, -1.0, 0.0] };
+        assert!(p.half_space(Frame::Scene, &half).contains([0.0, 0.0, 0.01]));
+        assert!(!p.half_space(Frame::Scene, &half).contains([0.0, 0.0, -0.01]));
+    }
+
+    #[test]
+    fn a_turned_box_turns() {
+        let p = Placement {
+            similarity: Similarity { metres_per_unit: 1.0, rotation: mat3::diag([1.0; 3]), origin: [0.0; 3] },
+            box_min: [0.0; 3],
+            box_max: [1.0; 3],
+        };
+        let plank = BoxShape { min: [-1.0, -0.1, -0.1], max: [1.0, 0.1, 0.1], rotation_deg: Some([0.0, 0.0, 90.0]) };
+        let turned = p.boxed(Frame::Scene, &plank);
+        assert!(turned.contains([0.0, 0.9, 0.0]) && !turned.contains([0.9, 0.0, 0.0]));
+    }
+}
