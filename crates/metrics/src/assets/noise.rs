@@ -29,10 +29,17 @@ fn corner(h: u32, x: f32, y: f32, z: f32) -> f32 {
     a + b
 }
 
+/// Largest integer not above `v`, without the library call that `f32::floor` is on the oldest instruction sets.
+#[inline(always)]
+fn floor(v: f32) -> i32 {
+    let i = v as i32;
+    i - i32::from((i as f32) > v)
+}
+
 /// Gradient noise with zero mean, amplitude about ±0.8 and features of size ≈ 1; twice continuously differentiable.
 pub fn noise(p: Vec3<f32>) -> f32 {
-    let f = p.map(f32::floor);
-    let [i, j, k] = f.map(|v| v as i32);
+    let [i, j, k] = p.map(floor);
+    let f = [i as f32, j as f32, k as f32];
     let [x, y, z] = [p[0] - f[0], p[1] - f[1], p[2] - f[2]];
     let [u, v, w] = [x, y, z].map(|t| t * t * t * (t * (t * 6.0 - 15.0) + 10.0));
     let c = |a: i32, b: i32, c: i32| corner(hash(i + a, j + b, k + c), x - a as f32, y - b as f32, z - c as f32);

@@ -79,7 +79,7 @@ impl Part {
 
 /// The embedded scene. Building it computes the light volume (a fraction of a second); everything else is a pure function.
 pub struct Sundae {
-    sauce: [Vec<RoundCone>; 3],
+    sauce: [Vec<Tongue>; 3],
     wafer: RoundCone,
     light: Light,
 }
@@ -112,9 +112,13 @@ impl Sundae {
 
     /// Signed distance of the object alone (everything that stands on the table).
     pub fn object_sdf(&self, x: Vec3<f32>) -> f32 {
-        let mut d = bowl(x).min(fill(x)).min(self.wafer_sdf(x)).min(ball(x, CHERRY.0, CHERRY.1));
+        let (bowl, fill) = bowl_and_fill(x);
+        let mut d = bowl.min(fill).min(self.wafer_sdf(x)).min(ball(x, CHERRY.0, CHERRY.1));
         for k in 0..3 {
-            d = d.min(scoop(x, k)).min(self.sauce_sdf(x, k));
+            d = d.min(self.sauce_sdf(x, k, d));
+        }
+        for k in 0..3 {
+            d = d.min(scoop(x, k, d));
         }
         d
     }
@@ -128,11 +132,11 @@ impl Sundae {
     pub fn part_sdf(&self, x: Vec3<f32>, part: Part) -> f32 {
         match part {
             Part::Table => table(x),
-            Part::Bowl => bowl(x),
-            Part::Strawberry => scoop(x, 0),
-            Part::Pistachio => scoop(x, 1),
-            Part::Vanilla => scoop(x, 2),
-            Part::Sauce => (0..3).fold(f32::INFINITY, |d, k| d.min(self.sauce_sdf(x, k))),
+            Part::Bowl => bowl_and_fill(x).0,
+            Part::Strawberry => scoop(x, 0, f32::INFINITY),
+            Part::Pistachio => scoop(x, 1, f32::INFINITY),
+            Part::Vanilla => scoop(x, 2, f32::INFINITY),
+            Part::Sauce => (0..3).fold(f32::INFINITY, |d, k| d.min(self.sauce_sdf(x, k, d))),
             Part::Wafer => self.wafer_sdf(x),
             Part::Cherry => ball(x, CHERRY.0, CHERRY.1),
         }
@@ -155,7 +159,7 @@ impl Sundae {
         }
         let scoops = [Part::Strawberry, Part::Pistachio, Part::Vanilla].map(|p| (self.part_sdf(x, p), p));
         let best = scoops.iter().copied().fold((f32::INFINITY, Part::Vanilla), |a, b| if b.0 < a.0 { b } else { a });
-        if best.0.min(fill(x)) < nearest.0 { best.1 } else { nearest.1 }
+        if best.0.min(bowl_and_fill(x).1) < nearest.0 { best.1 } else { nearest.1 }
     }
 
     /// Outward normal of the object alone.
@@ -182,22 +186,42 @@ impl Sundae {
         smax(d, along, 0.02)
     }
 
-    fn sauce_sdf(&self, x: Vec3<f32>, k: usize) -> f32 {
+    /// Distance of the sauce on scoop `k`; anything not below `limit` may stand for a larger value.
+    fn sauce_sdf(&self, x: Vec3<f32>, k: usize, limit: f32) -> f32 {
         let c = SCOOPS[k];
-        let bound = ball(x, c, SCOOP_RADIUS + 0.04);
-        if bound > 0.12 {
+        let bound = ball(x, c, SCOOP_RADIUS + 0.08);
+        if bound > 0.12 || bound > limit {
             return bound;
         }
         // A lens on top of the scoop, slightly lumpy, and the tongues that run down from it.
         let p = vec3::sub(x, c);
         let lens = vec3::norm([p[0] * 1.02, p[1] * 1.02, p[2] - 0.125]) - 0.292;
         let mut d = lens;
-        for s in &self.sauce[k] {
-            d = smin(d, s.sdf(x), 0.07);
+        for t in &self.sauce[k] {
+            // The blend reaches as far as its fillet: beyond that a tongue changes nothing.
+            if ball(x, t.centre, t.radius) < d + FILLET {
+                for s in &t.parts {
+                    d = smin(d, s.sdf(x), FILLET);
+                }
+            }
         }
-        d + 0.006 * noise_at(x, 7.0, 3.0 + k as f32)
+        if d > limit + 0.01 || d.abs() > 0.06 {
+            return d;
+        }
+        d + smoothstep(0.06, 0.03, d.abs()) * 0.006 * noise_at(x, 7.0, 3.0 + k as f32)
     }
 }
+
+/// One tongue of sauce: an arc over its scoop.
+struct Tongue {
+    parts: [RoundCone; 3],
+    /// Ball around it.
+    centre: Vec3<f32>,
+    radius: f32,
+}
+
+/// Fillet between the tongues and the rest of the sauce.
+const FILLET: f32 = 0.07;
 
 impl Solid for Sundae {
     fn sdf(&self, x: Vec3<f32>) -> f32 {
@@ -235,7 +259,7 @@ impl Solid for Sundae {
 }
 
 /// The tongues of sauce on scoop `k`: arcs over the scoop that start in the lens and end in a drop.
-fn drips(k: usize) -> Vec<RoundCone> {
+fn drips(k: usize) -> Vec<Tongue> {
     const COUNT: u64 = 8;
     let mut out = Vec::new();
     for i in 0..COUNT {
@@ -252,21 +276,28 @@ fn drips(k: usize) -> Vec<RoundCone> {
             vec3::add_scaled(SCOOPS[k], d, r)
         };
         let radius = |t: f32| width * (1.25 - 0.55 * t + 0.45 * t * t * t);
-        for s in 0..3 {
+        let parts = std::array::from_fn(|s| {
             let (a, b) = (s as f32 / 3.0, (s + 1) as f32 / 3.0);
-            out.push(RoundCone::new(at(a), at(b), radius(a), radius(b)));
-        }
+            RoundCone::new(at(a), at(b), radius(a), radius(b))
+        });
+        let centre = vec3::lerp(at(0.0), at(1.0), 0.5);
+        let reach = (0..=3).map(|s| vec3::norm(vec3::sub(at(s as f32 / 3.0), centre)) + radius(s as f32 / 3.0)).fold(0.0, f32::max);
+        out.push(Tongue { parts, centre, radius: reach });
     }
     out
 }
 
 /// One scoop: a ball with the ragged skirt a scoop leaves around its foot, and an icy, dragged surface.
-fn scoop(x: Vec3<f32>, k: usize) -> f32 {
+///
+/// Anything not below `limit` may stand for a larger value.
+fn scoop(x: Vec3<f32>, k: usize, limit: f32) -> f32 {
+    /// No relief is higher.
+    const RELIEF: f32 = 0.05;
     let p = vec3::sub(x, SCOOPS[k]);
     let seed = k as f32;
     let r = vec3::norm(p);
     let far = r - (SCOOP_RADIUS + 0.09);
-    if far > 0.3 {
+    if far > 0.3 || far > limit {
         return far;
     }
     let rho = (p[0] * p[0] + p[1] * p[1]).sqrt();
@@ -275,7 +306,7 @@ fn scoop(x: Vec3<f32>, k: usize) -> f32 {
     let skirt = (q[0] * q[0] + 1.6 * q[1] * q[1]).sqrt() - 0.075 - 0.02 * wave;
     let base = smin(r - SCOOP_RADIUS, skirt, 0.045);
     let near = smoothstep(0.13, 0.04, base.abs());
-    if near <= 0.0 {
+    if near <= 0.0 || base - RELIEF > limit {
         return base;
     }
     // The scoop is dragged through the tub along one direction: fine furrows across it, deeper towards the foot.
@@ -296,60 +327,57 @@ fn scoop(x: Vec3<f32>, k: usize) -> f32 {
 fn bowl_radius(z: f32, phi: f32) -> (f32, f32) {
     let t = (z / RIM).clamp(0.0, 1.25);
     let u = (1.0 - t).max(0.0);
+    let bend = u.powf(0.3);
     let flute = 0.022 * t * t * (6.0 * phi + 0.4).cos();
-    (0.37 + 0.36 * (1.0 - u.powf(1.3)) + 0.10 * (t - 1.0).max(0.0) + flute, 0.36 * 1.3 / RIM * u.powf(0.3))
+    (0.37 + 0.36 * (1.0 - u * bend) + 0.10 * (t - 1.0).max(0.0) + flute, 0.36 * 1.3 / RIM * bend)
 }
 
-/// Relief of the waffle: 1 on the ridges, 0 in the dimples (diamonds in azimuth and height).
-pub(super) fn waffle(x: Vec3<f32>) -> f32 {
-    let phi = x[1].atan2(x[0]);
+/// Relief of the waffle at height `z` and azimuth `phi`: 1 on the ridges, 0 in the dimples (diamonds).
+pub(super) fn waffle(z: f32, phi: f32) -> f32 {
     let around = phi * (20.0 / std::f32::consts::TAU);
-    let up = (x[2] + 0.25 * x[2] * x[2]) * 5.4;
+    let up = (z + 0.25 * z * z) * 5.4;
     let line = |v: f32| 2.0 * (v - v.floor() - 0.5).abs();
     let ridge = line(around + up).max(line(around - up));
     smoothstep(0.66, 0.86, ridge)
 }
 
 /// Distance of the bowl's outer side, positive outside; its relief included near the surface.
-fn bowl_side(x: Vec3<f32>) -> f32 {
+fn bowl_side(x: Vec3<f32>, phi: f32) -> f32 {
     let r = (x[0] * x[0] + x[1] * x[1]).sqrt();
-    let phi = x[1].atan2(x[0]);
     let (radius, slope) = bowl_radius(x[2], phi);
     let side = (r - radius) / (1.0 + slope * slope).sqrt();
     if side.abs() > 0.05 {
         return side;
     }
     let fade = smoothstep(0.05, 0.02, side.abs()) * smoothstep(0.0, 0.06, x[2]) * smoothstep(RIM + 0.02, RIM - 0.06, x[2]);
-    side + fade * (0.016 * (1.0 - waffle(x)) + 0.004 * noise_at(x, 14.0, 21.0))
+    side + fade * (0.016 * (1.0 - waffle(x[2], phi)) + 0.004 * noise_at(x, 14.0, 21.0))
 }
 
+/// Height of the wavy rim.
 fn rim(phi: f32) -> f32 {
     RIM + 0.022 * (6.0 * phi + 0.4).cos() + 0.012 * (2.0 * phi + 1.0).sin()
 }
 
-/// The waffle bowl: a wall of constant thickness with a fluted, rounded rim and a solid floor.
-fn bowl(x: Vec3<f32>) -> f32 {
+/// Distances of the waffle bowl (a wall of constant thickness with a fluted, rounded rim and a solid floor) and of the ice cream
+/// that fills it under and between the scoops.
+fn bowl_and_fill(x: Vec3<f32>) -> (f32, f32) {
     let far = disc(x, 0.80, 0.0, RIM + 0.08, 0.02);
     if far > 0.15 {
-        return far;
+        return (far, far);
     }
-    let side = bowl_side(x);
     let phi = x[1].atan2(x[0]);
+    let side = bowl_side(x, phi);
     let wall = (side + 0.5 * WALL).abs() - 0.5 * WALL;
     let wall = smax(wall, x[2] - rim(phi), 0.07);
     let floor = side.max(x[2] - 0.12);
-    smax(smin(wall, floor, 0.04), -x[2], 0.03)
-}
-
-/// The ice cream that fills the bowl under and between the scoops.
-fn fill(x: Vec3<f32>) -> f32 {
-    let far = disc(x, 0.75, 0.0, RIM, 0.02);
-    if far > 0.15 {
-        return far;
+    let bowl = smax(smin(wall, floor, 0.04), -x[2], 0.03);
+    let inside = (side + 0.8 * WALL).max(0.06 - x[2]);
+    let mut top = x[2] - 0.41;
+    if top.abs() < 0.1 && inside < 0.05 {
+        top -= smoothstep(0.1, 0.05, top.abs())
+            * (0.03 * noise_at(x, 5.0, 13.0) + 0.010 * noise_at(x, 15.0, 14.0) + 0.006 * noise_at(x, 34.0, 15.0));
     }
-    let icy = if (x[2] - 0.42).abs() < 0.1 { 0.010 * noise_at(x, 15.0, 14.0) + 0.006 * noise_at(x, 34.0, 15.0) } else { 0.0 };
-    let top = x[2] - 0.41 - 0.03 * noise_at(x, 5.0, 13.0) - icy;
-    (bowl_side(x) + 0.8 * WALL).max(top).max(0.06 - x[2])
+    (bowl, inside.max(top))
 }
 
 /// The table: a round top on a turned foot.

@@ -67,7 +67,7 @@ fn biscuit(x: Vec3<f32>) -> [f32; 3] {
     let toast = 0.5 + 0.5 * noise_at(x, 3.0, 54.0) + 0.35 * noise_at(x, 11.0, 55.0);
     let dimple = mix([0.94, 0.73, 0.43], [0.86, 0.60, 0.31], toast);
     let ridge = mix([0.86, 0.57, 0.27], [0.70, 0.41, 0.17], toast);
-    let c = mix(dimple, ridge, waffle(x) * smoothstep(0.02, 0.08, x[2]));
+    let c = mix(dimple, ridge, waffle(x[2], x[1].atan2(x[0])) * smoothstep(0.02, 0.08, x[2]));
     mix(c, [0.60, 0.33, 0.13], 0.55 * smoothstep(0.44, 0.54, x[2]))
 }
 
