@@ -5,7 +5,8 @@ use std::ops::Range;
 use serde_json::Value as Json;
 use toml_edit::{Document, Item, Table, TableLike, Value};
 
-use crate::diagnostic::{Diagnostic, SceneError, position, suggestion};
+use crate::diagnostic::{Diagnostic, SceneError, nearest, position, suggestion};
+use crate::value::{COLOUR_PATTERN, is_colour};
 
 /// One step of the way to a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -180,6 +181,11 @@ impl<'s> Walk<'s, '_> {
             Some("object") => self.check_object(node, schema),
             Some("array") => self.check_array(node, schema),
             Some("string") if node.value().is_none_or(|v| !v.is_str()) => self.wrong_value(node, "expected text in quotes"),
+            Some("string") if schema.get("pattern").is_some_and(|p| p == COLOUR_PATTERN) => {
+                if !node.value().and_then(Value::as_str).is_some_and(is_colour) {
+                    self.wrong_value(node, "expected \"#rrggbb\" or 3 numbers");
+                }
+            }
             Some("boolean") if node.value().is_none_or(|v| !v.is_bool()) => self.wrong_value(node, "expected true or false"),
             Some(kind @ ("number" | "integer")) => self.check_number(node, schema, kind == "integer"),
             _ => {}
@@ -280,7 +286,7 @@ impl<'s> Walk<'s, '_> {
         }
         let list = allowed.iter().map(|a| a.to_string()).collect::<Vec<_>>().join(", ");
         let words: Vec<&str> = allowed.iter().filter_map(|a| a.as_str()).collect();
-        let near = found.as_ref().and_then(Json::as_str).and_then(|f| crate::diagnostic::nearest(f, words));
+        let near = found.as_ref().and_then(Json::as_str).and_then(|f| nearest(f, words));
         let hint = near.map_or(String::new(), |n| format!("; did you mean \"{n}\"?"));
         self.wrong_value(node, &format!("allowed: {list}{hint}"));
     }
@@ -307,13 +313,16 @@ impl<'s> Walk<'s, '_> {
             Some("string") => node.value().is_some_and(Value::is_str),
             Some("array") => node.elements().is_some(),
             Some("object") => node.table().is_some(),
-            _ => node.value().is_some_and(Value::is_str) && a.get("enum").is_some(),
+            // A word that is not one of the words gets to hear of all forms.
+            _ => node.value().and_then(Value::as_str).is_some_and(|w| words_of(a).any(|allowed| allowed == w)),
         });
         match own {
             Some(schema) => self.check(node, schema),
             None => {
                 let forms: Vec<String> = resolved.iter().map(|a| form_name(a)).collect();
-                self.wrong_value(node, &format!("expected {}", forms.join(" or ")));
+                let near = node.value().and_then(Value::as_str).and_then(|w| nearest(w, resolved.iter().flat_map(|a| words_of(a))));
+                let hint = near.map_or(String::new(), |n| format!("; did you mean \"{n}\"?"));
+                self.wrong_value(node, &format!("expected {}{hint}", forms.join(" or ")));
             }
         }
     }
@@ -341,6 +350,10 @@ impl<'s> Walk<'s, '_> {
             self.report(format!("{key}: write exactly one of: {}", names.join(", ")));
         }
     }
+}
+
+fn words_of(schema: &Json) -> impl Iterator<Item = &str> {
+    schema.get("enum").and_then(Json::as_array).into_iter().flatten().filter_map(Json::as_str)
 }
 
 fn form_name(schema: &Json) -> String {

@@ -3,7 +3,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::heat::MotionKey;
 use crate::shape::{BoxShape, Frame, Plane, Sphere, Tube};
 
 /// How material behaves at a collider.
@@ -25,17 +24,15 @@ pub enum ColliderMode {
 pub enum ColliderShape {
     /// A floor or wall.
     Plane(Plane),
-    /// A box.
+    /// A box; it cannot be turned.
     Box(BoxShape),
     /// A ball.
     Sphere(Sphere),
-    /// A cylinder.
-    Cylinder(Tube),
     /// A cylinder with round ends.
     Capsule(Tube),
 }
 
-/// A solid body that material cannot enter.
+/// A solid body at rest that material cannot enter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Collider {
@@ -44,7 +41,7 @@ pub struct Collider {
     pub name: String,
     /// Its shape.
     pub shape: ColliderShape,
-    /// What the coordinates of `shape` and `motion` mean: "object" or "scene".
+    /// What the coordinates of `shape` mean: "object" or "scene".
     #[serde(default)]
     pub frame: Frame,
     /// How material behaves at its surface.
@@ -61,17 +58,6 @@ pub struct Collider {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -273.15, max = 10000.0))]
     pub temperature_c: Option<f64>,
-    /// How it moves: rigid motion, linear between keyframes.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub motion: Vec<MotionKey>,
-    /// Exists from this time, in seconds.
-    #[serde(default)]
-    #[schemars(range(min = 0.0, max = 1e6))]
-    pub start_s: f64,
-    /// Vanishes at this time, in seconds; never if left out.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 0.0, max = 1e6))]
-    pub end_s: Option<f64>,
 }
 
 fn default_friction() -> f64 {

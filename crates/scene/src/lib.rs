@@ -39,7 +39,7 @@ pub use output::{Film, Output};
 pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
 pub use scene::{Clock, Scene};
 pub use schema::json_schema;
-pub use settings::{Air, AirMode, Fill, FillMethod, OpenBottom, PhaseMode, Push, Quality, Simulation, Skin, Time};
+pub use settings::{Air, AirMode, Fill, OpenBottom, PhaseMode, Push, Quality, Simulation, Skin, Time};
 pub use shape::{BoxShape, Frame, HalfSpace, Placement, Plane, SiShape, Sphere, Tube};
 pub use value::{Auto, Colour, Up};
 

@@ -52,10 +52,6 @@ pub struct Output {
     /// Range of the false colours in °C, [coldest, hottest]; measured if left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub thermal_range_c: Option<[f64; 2]>,
-    /// Bit rate of a film in kbit/s; from its size if left out.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 50, max = 200000))]
-    pub bitrate_kbps: Option<u32>,
 }
 
 impl Default for Output {
@@ -68,7 +64,6 @@ impl Default for Output {
             png: true,
             ply_every: 0,
             thermal_range_c: None,
-            bitrate_kbps: None,
         }
     }
 }

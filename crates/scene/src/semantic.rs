@@ -8,7 +8,7 @@ use crate::heat::{Heat, HeatKind, MotionKey, Region};
 use crate::object::{Object, Select};
 use crate::presets::material_presets;
 use crate::scene::Scene;
-use crate::shape::{BoxShape, Sphere, Tube};
+use crate::shape::{BoxShape, Tube};
 
 /// Something wrong, and where.
 pub(crate) struct Problem {
@@ -254,14 +254,14 @@ fn motion(keys: &[MotionKey], r: &mut Report) {
 fn collider(c: &Collider, r: &mut Report) {
     match &c.shape {
         ColliderShape::Plane(p) => direction(p.normal, "shape.plane.normal", r),
-        ColliderShape::Box(b) => r.inside("shape", None, |r| r.inside("box", None, |r| boxed(b, r))),
-        ColliderShape::Cylinder(t) => r.inside("shape", None, |r| r.inside("cylinder", None, |r| tube(t, r))),
-        ColliderShape::Sphere(Sphere { .. }) | ColliderShape::Capsule(_) => {}
+        ColliderShape::Box(b) => {
+            r.inside("shape", None, |r| r.inside("box", None, |r| boxed(b, r)));
+            if b.rotation_deg.is_some() {
+                r.say("shape.box.rotation_deg", "collider: a box cannot be turned; use a plane or a capsule for slopes");
+            }
+        }
+        ColliderShape::Sphere(_) | ColliderShape::Capsule(_) => {}
     }
-    if c.end_s.is_some_and(|end| end <= c.start_s) {
-        r.say("end_s", format!("collider.end_s = {} must be after start_s = {}", c.end_s.unwrap_or(0.0), c.start_s));
-    }
-    motion(&c.motion, r);
 }
 
 fn camera(c: &Camera, r: &mut Report) {

@@ -183,17 +183,6 @@ impl Default for Air {
     }
 }
 
-/// How the inside of an object is found (splatting.md §6).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum FillMethod {
-    /// Rays: inside is where most rays leave through an opaque surface from behind.
-    #[default]
-    Rays,
-    /// No filling: the splats alone are simulated.
-    None,
-}
-
 /// What to do about a bottom that nobody ever photographed (splatting.md §6.6).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -207,27 +196,23 @@ pub enum OpenBottom {
     Open,
 }
 
-/// Filling the objects with material points.
+/// Filling the objects with material points, eight per grid cell: inside is where most rays leave through an opaque surface from behind
+/// (splatting.md §6).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fill {
-    /// How the inside is found: "rays" or "none".
-    pub method: FillMethod,
     /// Rays per point: 6 (axes) or 14 (axes and diagonals; better with holes).
     #[schemars(extend("enum" = [6, 14]))]
     pub directions: u32,
     /// Opacity from which a ray counts as stopped, 0–1, or "auto" (measured).
     pub tau_alpha: Auto,
-    /// Material points per grid cell.
-    #[schemars(range(min = 1, max = 27))]
-    pub points_per_cell: u32,
     /// Random displacement of the points, as a fraction of their spacing, 0–0.5.
     #[schemars(range(min = 0.0, max = 0.5))]
     pub jitter: f64,
     /// Unseen bottoms: "auto", "cap" or "open".
     pub open_bottom: OpenBottom,
     /// Views that vote on which side of a splat is outside.
-    #[schemars(range(min = 6, max = 256))]
+    #[schemars(range(min = 16, max = 256))]
     pub normal_views: u32,
     /// Splats carry no mass and only follow the points inside; chosen by their number if left out.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -236,16 +221,7 @@ pub struct Fill {
 
 impl Default for Fill {
     fn default() -> Self {
-        Self {
-            method: FillMethod::Rays,
-            directions: 6,
-            tau_alpha: Auto::Value(0.5),
-            points_per_cell: 8,
-            jitter: 0.25,
-            open_bottom: OpenBottom::Auto,
-            normal_views: 24,
-            tracers: None,
-        }
+        Self { directions: 6, tau_alpha: Auto::Value(0.5), jitter: 0.25, open_bottom: OpenBottom::Auto, normal_views: 64, tracers: None }
     }
 }
 

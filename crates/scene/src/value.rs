@@ -122,6 +122,14 @@ impl JsonSchema for Up {
     }
 }
 
+/// The pattern of a colour in the schema, and what [`is_colour`] checks.
+pub(crate) const COLOUR_PATTERN: &str = "^#[0-9a-fA-F]{6}$";
+
+/// True for `#rrggbb`.
+pub(crate) fn is_colour(text: &str) -> bool {
+    text.strip_prefix('#').is_some_and(|h| h.len() == 6 && h.bytes().all(|b| b.is_ascii_hexdigit()))
+}
+
 /// A display colour: `"#rrggbb"` or three numbers in [0, 1] (sRGB).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Colour(pub [f32; 3]);
@@ -142,7 +150,7 @@ impl<'de> Deserialize<'de> for Colour {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
         match TextOr::<[f64; 3]>::deserialize(d)? {
             TextOr::Text(t) => {
-                let hex = t.strip_prefix('#').filter(|h| h.len() == 6 && h.bytes().all(|b| b.is_ascii_hexdigit()));
+                let hex = is_colour(&t).then(|| &t[1..]);
                 let value = hex.and_then(|h| u32::from_str_radix(h, 16).ok());
                 let value =
                     value.ok_or_else(|| D::Error::custom(format!("\"{t}\" is not a colour; write \"#rrggbb\" or three numbers 0–1")))?;
@@ -164,7 +172,7 @@ impl JsonSchema for Colour {
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({ "anyOf": [
-            { "type": "string", "pattern": "^#[0-9a-fA-F]{6}$" },
+            { "type": "string", "pattern": COLOUR_PATTERN },
             { "type": "array", "items": { "type": "number", "minimum": 0, "maximum": 1 }, "minItems": 3, "maxItems": 3 }
         ] })
     }
