@@ -2,6 +2,8 @@
 
 use megas_model::Image;
 
+use crate::colormap::unit;
+
 /// Coverage in [0, 1], one per pixel, of a line of `width` pixels along `field = level`. Only where `weight` exceeds ½ at
 /// all four corners of a cell; the field is smoothed a little first, weighted by `weight`.
 pub(crate) fn isoline(field: &Image, weight: &Image, level: f32, width: f32) -> Vec<f32> {
@@ -68,27 +70,36 @@ fn stroke(coverage: &mut [f32], w: usize, h: usize, a: [f32; 2], b: [f32; 2], wi
 
 /// The field after a weighted 1-4-6-4-1 filter in both directions; splats make it ripple from pixel to pixel.
 fn smoothed(field: &Image, weight: &Image) -> Vec<f32> {
-    const KERNEL: [f32; 5] = [1.0, 4.0, 6.0, 4.0, 1.0];
     let (w, h) = (field.width as usize, field.height as usize);
+    let a: Vec<f32> = weight.data.iter().map(|&a| unit(a)).collect();
     let sane = |v: f32| if v.is_finite() { v } else { 0.0 };
-    let mut sum: Vec<[f32; 2]> =
-        field.data.iter().zip(&weight.data).map(|(&v, &a)| [sane(v) * sane(a).max(0.0), sane(a).max(0.0)]).collect();
-    let mut out = sum.clone();
-    for (step, n, along) in [(1, w, 0), (w, h, 1)] {
-        for (at, o) in out.iter_mut().enumerate() {
-            let here = if along == 0 { at % w } else { at / w };
-            let mut acc = [0.0; 2];
-            for (k, weight) in KERNEL.iter().enumerate() {
-                let there = (here + k).saturating_sub(2).min(n - 1);
-                let from = sum[at + there * step - here * step];
-                acc[0] += weight * from[0];
-                acc[1] += weight * from[1];
-            }
-            *o = acc;
+    let product: Vec<f32> = field.data.iter().zip(&a).map(|(&v, a)| sane(v) * a).collect();
+    let (sum, total) = (filtered(product, w, h), filtered(a, w, h));
+    let quotient = |((s, t), v): ((&f32, &f32), &f32)| if *t > 0.0 { s / t } else { sane(*v) };
+    sum.iter().zip(&total).zip(&field.data).map(quotient).collect()
+}
+
+/// 1-4-6-4-1 along rows and along columns, the border repeated.
+fn filtered(mut data: Vec<f32>, w: usize, h: usize) -> Vec<f32> {
+    let mix = |a: f32, b: f32, c: f32, d: f32, e: f32| (a + e) + 4.0 * (b + d) + 6.0 * c;
+    let mut padded = vec![0.0; w + 4];
+    for row in data.chunks_exact_mut(w.max(1)) {
+        padded[2..w + 2].copy_from_slice(row);
+        padded[..2].fill(row[0]);
+        padded[w + 2..].fill(row[w - 1]);
+        for (o, p) in row.iter_mut().zip(padded.windows(5)) {
+            *o = mix(p[0], p[1], p[2], p[3], p[4]);
         }
-        std::mem::swap(&mut sum, &mut out);
     }
-    sum.iter().zip(&field.data).map(|(s, v)| if s[1] > 0.0 { s[0] / s[1] } else { sane(*v) }).collect()
+    let mut out = vec![0.0; data.len()];
+    for (j, o) in out.chunks_exact_mut(w.max(1)).enumerate() {
+        let row = |k: usize| &data[(j + k).saturating_sub(2).min(h - 1) * w..][..w];
+        let (a, b, c, d, e) = (row(0), row(1), row(2), row(3), row(4));
+        for i in 0..w {
+            o[i] = mix(a[i], b[i], c[i], d[i], e[i]);
+        }
+    }
+    out
 }
 
 #[cfg(test)]

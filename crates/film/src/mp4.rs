@@ -14,6 +14,7 @@ use openh264::{
     encoder::{
         BitRate, Complexity, Encoder, EncoderConfig, FrameRate, FrameType, IntraFramePeriod, QpRange, RateControlMode, UsageType, VuiConfig,
     },
+    formats::YUVSource,
 };
 
 use crate::{
@@ -25,6 +26,9 @@ use crate::{
 const KEY_SECONDS: f64 = 2.0;
 /// Constant quantiser: below 18 nobody sees a difference, above 24 smooth gradients begin to show blocks.
 const QUANTISER: u8 = 20;
+/// How much coarser the quantiser gets when a picture is too rich for the encoder, and how often that may happen.
+const COARSER: u8 = 6;
+const RETRIES: u8 = 4;
 /// Bits per pixel and frame announced to the encoder, which derives the level from it.
 const BITS_PER_PIXEL: f64 = 0.25;
 
@@ -65,24 +69,7 @@ impl Mp4Writer {
         let path = path.as_ref().to_path_buf();
         let file = AtomicFile::create(&path, overwrite)?;
         let (w, h) = (width.next_multiple_of(2), height.next_multiple_of(2));
-        let rate = (BITS_PER_PIXEL * f64::from(w) * f64::from(h) * fps).min(1e8);
-        let config = EncoderConfig::new()
-            .usage_type(UsageType::CameraVideoRealTime)
-            .complexity(Complexity::Medium)
-            // The one mode that neither skips frames nor changes the quantiser within its range, here a single value.
-            .rate_control_mode(RateControlMode::Bufferbased)
-            .qp(QpRange::new(QUANTISER, QUANTISER))
-            .bitrate(BitRate::from_bps(rate as u32))
-            .max_frame_rate(FrameRate::from_hz(fps as f32))
-            .intra_frame_period(IntraFramePeriod::from_num_frames((KEY_SECONDS * fps).round() as u32))
-            .vui(VuiConfig::bt709())
-            // Every frame counts, and the same frames must give the same film on every machine.
-            .skip_frames(false)
-            .num_threads(1)
-            .scene_change_detect(false)
-            // Made for webcams: it freezes what hardly moves, which here is slow flow.
-            .background_detection(false);
-        let encoder = Encoder::with_api_config(OpenH264API::from_source(), config).map_err(|e| video(&path, e))?;
+        let encoder = encoder(w, h, fps, QUANTISER).map_err(|e| video(&path, e))?;
         let muxer = MuxerBuilder::new(file).video(VideoCodec::H264, w, h, fps).with_fast_start(true).build();
         let muxer = muxer.map_err(|e| video(&path, e))?;
         Ok(Self { path, width, height, fps, frames: 0, planes: Planes::new(width, height), encoder, packet: Vec::new(), muxer })
@@ -97,10 +84,25 @@ impl Mp4Writer {
         self.planes.fill(image);
         let time = self.frames as f64 / self.fps;
         let stamp = Timestamp::from_millis((1000.0 * time) as u64);
-        let coded = self.encoder.encode_at(&self.planes, stamp).map_err(|e| video(&self.path, e))?;
-        let key = matches!(coded.frame_type(), FrameType::IDR | FrameType::I);
-        self.packet.clear();
-        coded.write_vec(&mut self.packet);
+        let mut failures = 0;
+        let key = loop {
+            match self.encoder.encode_at(&self.planes, stamp) {
+                Ok(coded) => {
+                    self.packet.clear();
+                    coded.write_vec(&mut self.packet);
+                    break matches!(coded.frame_type(), FrameType::IDR | FrameType::I);
+                }
+                Err(e) if failures == RETRIES => return Err(video(&self.path, e)),
+                Err(_) => {
+                    // A picture like white noise does not fit into the encoder's buffer at this quality, and the failure leaves
+                    // the encoder unusable: go on from a key frame with a coarser one. The parameter sets stay the same.
+                    failures += 1;
+                    let quantiser = QUANTISER + failures * COARSER;
+                    let (w, h) = self.planes.dimensions();
+                    self.encoder = encoder(w as u32, h as u32, self.fps, quantiser).map_err(|e| video(&self.path, e))?;
+                }
+            }
+        };
         self.muxer.write_video(time, &self.packet, key).map_err(|e| video(&self.path, e))?;
         self.frames += 1;
         Ok(())
@@ -119,6 +121,28 @@ impl Mp4Writer {
         muxer.into_writer().commit()?;
         Ok(FilmStats { frames, seconds: frames as f64 / fps })
     }
+}
+
+/// An encoder for pictures of `w` × `h` pixels with a constant quantiser.
+fn encoder(w: u32, h: u32, fps: f64, quantiser: u8) -> Result<Encoder, openh264::Error> {
+    let rate = (BITS_PER_PIXEL * f64::from(w) * f64::from(h) * fps).min(1e8);
+    let config = EncoderConfig::new()
+        .usage_type(UsageType::CameraVideoRealTime)
+        .complexity(Complexity::Medium)
+        // The one mode that neither skips frames nor changes the quantiser within its range, here a single value.
+        .rate_control_mode(RateControlMode::Bufferbased)
+        .qp(QpRange::new(quantiser, quantiser))
+        .bitrate(BitRate::from_bps(rate as u32))
+        .max_frame_rate(FrameRate::from_hz(fps as f32))
+        .intra_frame_period(IntraFramePeriod::from_num_frames((KEY_SECONDS * fps).round() as u32))
+        .vui(VuiConfig::bt709())
+        // Every frame counts, and the same frames must give the same film on every machine.
+        .skip_frames(false)
+        .num_threads(1)
+        .scene_change_detect(false)
+        // Made for webcams: it freezes what hardly moves, which here is slow flow.
+        .background_detection(false);
+    Encoder::with_api_config(OpenH264API::from_source(), config)
 }
 
 fn video(path: &Path, reason: impl std::fmt::Display) -> FilmError {

@@ -136,6 +136,39 @@ fn decoded_frames_are_those_that_went_in() {
 }
 
 #[test]
+fn a_picture_too_rich_for_the_encoder_gets_coarser_instead_of_failing() {
+    let dir = tempdir().unwrap();
+    let path = dir.path().join("noise.mp4");
+    let (w, h) = (1000, 800);
+    let mut x = 1u32;
+    let frames: Vec<Image> = (0..4)
+        .map(|k| {
+            let mut image = Image::new(w, h, 3);
+            if k == 2 {
+                image.data.iter_mut().for_each(|v| {
+                    x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    *v = (x >> 8) as f32 / (1 << 24) as f32;
+                });
+            }
+            image
+        })
+        .collect();
+    let mut writer = Mp4Writer::create(&path, w, h, 30.0, false).unwrap();
+    frames.iter().for_each(|f| writer.push(f).unwrap());
+    writer.finish().unwrap();
+    let file = std::fs::read(&path).unwrap();
+    let stss = find(&file, "moov/trak/mdia/minf/stbl/stss");
+    assert_eq!((u32_at(stss, 4), u32_at(stss, 12)), (2, 3), "the noise did not need the second attempt it is here for");
+    let mut decoder = Decoder::new().unwrap();
+    for (k, sample) in samples(&file).iter().enumerate() {
+        let picture = decoder.decode(sample).unwrap().expect("a picture");
+        // Of the noise only the luma can survive the halved chroma.
+        let p = psnr(&rgb(&picture, w as usize, h as usize), &frames[k].data);
+        assert!(p > if k == 2 { 10.0 } else { 35.0 }, "frame {k}: {p} dB");
+    }
+}
+
+#[test]
 fn the_index_comes_first_and_is_right() {
     let dir = tempdir().unwrap();
     let path = dir.path().join("a.mp4");

@@ -1,7 +1,6 @@
 //! Files appear whole or not at all: everything is written to a temporary file in the target's folder and renamed at the end.
 
 use std::{
-    fs::{File, Permissions},
     io::{self, BufWriter, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
@@ -33,7 +32,7 @@ impl AtomicFile {
         let mut builder = tempfile::Builder::new();
         builder.prefix(".megas-").suffix(".part");
         #[cfg(unix)]
-        builder.permissions(<Permissions as std::os::unix::fs::PermissionsExt>::from_mode(0o666));
+        builder.permissions(<std::fs::Permissions as std::os::unix::fs::PermissionsExt>::from_mode(0o666));
         let file = builder.tempfile_in(folder).map_err(|e| FormatError::io(path, "create a file in this folder", bare(e)))?;
         Ok(Self { writer: BufWriter::with_capacity(1 << 18, file), path: path.to_path_buf(), overwrite })
     }
@@ -55,15 +54,6 @@ impl AtomicFile {
             Err(e) if e.error.kind() == io::ErrorKind::AlreadyExists => Err(FormatError::Exists { path }),
             Err(e) => Err(FormatError::io(&path, "rename the finished file to its name", bare(e.error))),
         }
-    }
-
-    fn file(&self) -> &File {
-        self.writer.get_ref().as_file()
-    }
-
-    /// Bytes handed to the operating system so far.
-    pub fn written(&self) -> u64 {
-        self.file().metadata().map_or(0, |m| m.len()) + self.writer.buffer().len() as u64
     }
 }
 
