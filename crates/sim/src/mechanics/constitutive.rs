@@ -1,0 +1,259 @@
+//! Stress and return map of the isotropic laws in lanes (simulation.md §5.1, §5.2).
+//!
+//! Everything is a function of the left Cauchy–Green tensor `b = F Fᵀ`, written as `b − I` so that small strains keep
+//! their digits. Small strains use power series; lanes with large ones take the eigen-decomposition instead.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
+use megas_math::simd::elementary::{exp, exp_m1, ln, ln_1p, powf};
+use megas_math::simd::symmetric::{EXP_M1, LN_1P, SERIES_P, SQRT_1P_M1, Traceless, contract, eigen, from_eigen};
+use megas_math::simd::{Lanes, Mat3s, Sym3};
+
+/// Smallest and largest stretch that is not repaired (simulation.md §7.6).
+pub(crate) const STRETCH: (f32, f32) = (0.05, 20.0);
+/// Smallest volume ratio that is not repaired.
+pub(crate) const MIN_J: f32 = 0.02;
+
+/// A mask over `f32` lanes.
+pub(crate) type Mask<S> = <S as Simd>::mask32s;
+
+/// Parameters of the law per lane; units as in [`crate::particles::Particles`].
+pub(crate) struct Parameters<S: Simd> {
+    pub shear: Lanes<S>,
+    pub bulk: Lanes<S>,
+    pub yield_stress: Lanes<S>,
+    pub viscosity: Lanes<S>,
+    pub exponent: Lanes<S>,
+    /// Lanes with the fixed corotated law; the others are Hencky.
+    pub corotated: Mask<S>,
+}
+
+/// What a deformation gradient answers.
+pub(crate) struct Response<S: Simd> {
+    /// Kirchhoff stress τ \[Pa\].
+    pub stress: Sym3<S>,
+    /// `F − I` after the return map.
+    pub elastic: Mat3s<S>,
+    /// Increment of plastic strain.
+    pub plastic: Lanes<S>,
+    /// Volume ratio J.
+    pub volume: Lanes<S>,
+    /// Lanes whose gradient is degenerate and must be replaced; their stress is meaningless.
+    pub degenerate: Mask<S>,
+}
+
+/// `b − I = H + Hᵀ + H Hᵀ` of `H = F − I`.
+#[inline(always)]
+pub(crate) fn left_strain<S: Simd>(h: &Mat3s<S>) -> Sym3<S> {
+    let e = |r: usize, c: usize| h[r][2].mul_add(h[c][2], h[r][1].mul_add(h[c][1], h[r][0].mul_add(h[c][0], h[r][c] + h[c][r])));
+    [e(0, 0), e(1, 1), e(2, 2), e(0, 1), e(0, 2), e(1, 2)]
+}
+
+/// `det(I + H) − 1` without cancellation.
+#[inline(always)]
+pub(crate) fn volume_change<S: Simd>(h: &Mat3s<S>) -> Lanes<S> {
+    let minor = |r: usize, c: usize, r2: usize, c2: usize| h[r][c] * h[r2][c2] - h[r][c2] * h[r2][c];
+    let m0 = minor(1, 1, 2, 2);
+    let second = m0 + minor(0, 0, 2, 2) + minor(0, 0, 1, 1);
+    let third = h[0][0].mul_add(m0, h[0][2] * minor(1, 0, 2, 1) - h[0][1] * minor(1, 0, 2, 2));
+    h[0][0] + h[1][1] + h[2][2] + second + third
+}
+
+/// Principal values, for lanes with large strains.
+struct Principal<S: Simd> {
+    /// Principal directions (columns).
+    u: Mat3s<S>,
+    /// Deviatoric Hencky strains.
+    e: [Lanes<S>; 3],
+    /// Trace of the Hencky strain.
+    trace: Lanes<S>,
+    /// `σ_a² − σ_a`, with the sign of det F on the smallest stretch.
+    corotated: [Lanes<S>; 3],
+    degenerate: Mask<S>,
+}
+
+#[inline(always)]
+fn principal<S: Simd>(s: S, strain: Sym3<S>, volume: Lanes<S>, is_corotated: Mask<S>) -> Principal<S> {
+    let c = |v| Lanes::<S>::splat(s, v);
+    let (w, u) = eigen(s, strain);
+    let least = w[0].min(w[1]).min(w[2]);
+    let most = w[0].max(w[1]).max(w[2]);
+    let (low, high) = (STRETCH.0 * STRETCH.0 - 1.0, STRETCH.1 * STRETCH.1 - 1.0);
+    let bounded = most.simd_le(c(high)) & volume.abs().simd_le(c(STRETCH.1.powi(3)));
+    let regular = bounded & (is_corotated | (least.simd_ge(c(low)) & volume.simd_ge(c(MIN_J))));
+    let log = w.map(|v| ln_1p(s, v.max(c(low)).min(c(high))) * 0.5);
+    let trace = log[0] + log[1] + log[2];
+    let inverted = volume.simd_lt(c(0.0));
+    let corotated = w.map(|v| {
+        let root = (v + 1.0).max(c(0.0)).sqrt();
+        // σ² − σ, and σ² + σ for the one stretch that carries the reflection.
+        let flip = inverted & v.simd_eq(least);
+        let square = (v + 1.0).max(c(0.0));
+        flip.select(square + root, root * (v / (root + 1.0)))
+    });
+    Principal { u, e: log.map(|v| v - trace * (1.0 / 3.0)), trace, corotated, degenerate: !regular }
+}
+
+/// Ratio `s / s_tr` of the returned to the trial stress norm in lanes that yield (`over = s_tr − s_Y > 0`), and 1 elsewhere:
+/// backward Euler of Herschel–Bulkley flow; η = 0 is von Mises.
+#[inline(always)]
+pub(crate) fn flow_ratio<S: Simd>(
+    s: S,
+    trial: Lanes<S>,
+    over: Lanes<S>,
+    stiffness: Lanes<S>,
+    viscosity: Lanes<S>,
+    exponent: Lanes<S>,
+) -> Lanes<S> {
+    let c = |v| Lanes::<S>::splat(s, v);
+    let yields = over.simd_gt(c(0.0));
+    // Bingham: y = over / (1 + stiffness/η) with stiffness = 2 μ̂ Δt.
+    let mut y = over * (viscosity / (viscosity + stiffness));
+    let curved = yields & !exponent.simd_eq(c(1.0)) & viscosity.simd_gt(c(0.0));
+    if curved.any_true() {
+        y = curved.select(curved_flow(s, over, stiffness, viscosity, exponent, curved), y);
+    }
+    yields.select((trial - over + y) / trial, c(1.0))
+}
+
+/// Solves `y + stiffness (y/η)^{1/h} = over` for y where `active` (simulation.md §5.2): Newton on the convex form from its
+/// upper bound, which converges monotonically.
+#[inline(always)]
+fn curved_flow<S: Simd>(s: S, over: Lanes<S>, stiffness: Lanes<S>, viscosity: Lanes<S>, exponent: Lanes<S>, active: Mask<S>) -> Lanes<S> {
+    let c = |v| Lanes::<S>::splat(s, v);
+    let one = c(1.0);
+    let (over, viscosity) = (active.select(over, one).max(c(1e-30)), active.select(viscosity, one));
+    let h = active.select(exponent, one);
+    let inverse = one / h;
+    // t = y/over obeys t + k t^{1/h} = 1; for h > 1 the convex unknown is z = t^{1/h}: k z + z^h = 1.
+    let log_k = (ln(s, stiffness / over) + inverse * (ln(s, over) - ln(s, viscosity))).max(c(-80.0)).min(c(80.0));
+    let k = exp(s, log_k);
+    let steep = h.simd_gt(one);
+    let (a, b) = (steep.select(k, one), steep.select(one, k));
+    let log_b = steep.select(c(0.0), log_k);
+    let q = steep.select(h, inverse);
+    let top = (one / a).min(exp(s, -(log_b / q)));
+    let mut u = top;
+    let mut done = !active;
+    for _ in 0..20 {
+        let power = powf(s, u, q - 1.0);
+        let residual = u.mul_add(b.mul_add(power, a), c(-1.0));
+        let slope = (b * q).mul_add(power, a);
+        let next = (u - residual / slope).max(u * 0.1).min(top);
+        let converged = (next - u).abs().simd_le(next * 1e-6);
+        u = done.select(u, next);
+        done |= converged;
+        if done.all_true() {
+            break;
+        }
+    }
+    over * steep.select(powf(s, u, h), u)
+}
+
+/// Stress of `F = I + H`, after the plastic flow of one step of `flow_dt` seconds where that is given. `yue` replaces μ̂ = μ by
+/// Yue's μ tr(b)/3.
+#[inline(always)]
+pub(crate) fn respond<S: Simd>(
+    s: S,
+    h: Mat3s<S>,
+    law: &Parameters<S>,
+    has_hencky: bool,
+    has_corotated: bool,
+    flow_dt: Option<f32>,
+    yue: bool,
+) -> Response<S> {
+    let c = |v| Lanes::<S>::splat(s, v);
+    let zero = c(0.0);
+    let strain = left_strain::<S>(&h);
+    let change = volume_change::<S>(&h);
+    let volume = change + 1.0;
+    let mean = (strain[0] + strain[1] + strain[2]) * (1.0 / 3.0);
+    let scale = mean + 1.0;
+    let inverse = c(1.0) / scale;
+    let mut x = strain;
+    for k in 0..3 {
+        x[k] = x[k] - mean;
+    }
+    let x = Traceless::<S>::new(x.map(|v| v * inverse));
+    let small = x.p.simd_le(c(SERIES_P)) & scale.simd_ge(c(0.3)) & scale.simd_le(c(4.0)) & volume.simd_gt(c(0.1));
+    let large = if small.all_true() {
+        None
+    } else {
+        Some(s.vectorize(
+            #[inline(always)]
+            || principal(s, strain, volume, law.corotated),
+        ))
+    };
+    let degenerate = large.as_ref().map_or(Mask::<S>::splat(s, false), |p| p.degenerate & !small);
+
+    let mut stress = [zero; 6];
+    let mut elastic = h;
+    let mut plastic = zero;
+    if has_hencky {
+        let f = x.series(s, &LN_1P);
+        let f = [f[2] * x.p * (-1.0 / 3.0), f[1] * 0.5, f[2] * 0.5];
+        let mut e = x.combine(f);
+        let mut trace = ln_1p(s, small.select(change, zero));
+        if let Some(p) = &large {
+            let other = from_eigen::<S>(&p.u, p.e);
+            for k in 0..6 {
+                e[k] = small.select(e[k], other[k]);
+            }
+            trace = small.select(trace, p.trace);
+        }
+        let mut ratio = c(1.0);
+        if let Some(dt) = flow_dt {
+            let norm = contract::<S>(&e, &e).sqrt();
+            let trial = law.shear * norm * 2.0;
+            let over = trial - law.yield_stress * (2f32 / 3.0).sqrt();
+            let yields = over.simd_gt(zero) & !law.corotated;
+            if yields.any_true() {
+                let effective = if yue { law.shear * scale } else { law.shear };
+                ratio = yields.select(flow_ratio(s, trial, over, effective * (2.0 * dt), law.viscosity, law.exponent), ratio);
+                let shrink = ratio - 1.0;
+                let a = Traceless::<S>::new(e.map(|v| v * shrink));
+                let mut m = a.combine(a.series(s, &EXP_M1));
+                if let Some(p) = &large {
+                    let other = from_eigen::<S>(&p.u, p.e.map(|v| exp_m1(s, v * shrink)));
+                    for k in 0..6 {
+                        m[k] = small.select(m[k], other[k]);
+                    }
+                }
+                // F ← exp((ratio − 1) e) F, so H ← H + M + M H with M = exp(…) − I.
+                let full = [[m[0], m[3], m[4]], [m[3], m[1], m[5]], [m[4], m[5], m[2]]];
+                for r in 0..3 {
+                    for k in 0..3 {
+                        let sum = full[r][0].mul_add(h[0][k], full[r][1].mul_add(h[1][k], full[r][2].mul_add(h[2][k], full[r][k])));
+                        elastic[r][k] = yields.select(h[r][k] + sum, h[r][k]);
+                    }
+                }
+                plastic = yields.select(norm * shrink * -(2f32 / 3.0).sqrt(), zero);
+            }
+        }
+        let deviatoric = law.shear * ratio * 2.0;
+        let pressure = law.bulk * trace;
+        for k in 0..6 {
+            stress[k] = if k < 3 { deviatoric.mul_add(e[k], pressure) } else { deviatoric * e[k] };
+        }
+    }
+    if has_corotated {
+        // b − √b, from √b = √scale (I + Y), Y = √(I + X) − I.
+        let root = scale.sqrt();
+        let y = x.series(s, &SQRT_1P_M1);
+        let f = [mean - mean / (root + 1.0) - root * y[0], scale - root * y[1], -(root * y[2])];
+        let mut t = x.combine(f);
+        if let Some(p) = &large {
+            let other = from_eigen::<S>(&p.u, p.corotated);
+            for k in 0..6 {
+                t[k] = small.select(t[k], other[k]);
+            }
+        }
+        let lambda = law.bulk - law.shear * (2.0 / 3.0);
+        let pressure = lambda * change * volume;
+        let twice = law.shear * 2.0;
+        for k in 0..6 {
+            let v = if k < 3 { twice.mul_add(t[k], pressure) } else { twice * t[k] };
+            stress[k] = law.corotated.select(v, stress[k]);
+        }
+    }
+    Response { stress, elastic, plastic, volume, degenerate }
+}

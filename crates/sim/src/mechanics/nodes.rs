@@ -1,0 +1,299 @@
+//! The sparse grid: blocks of 4³ nodes where there is matter, and the update of their velocities (simulation.md §2.3, §9.2).
+//!
+//! Points scatter into one tile per block of points. A node block then adds up the tiles that reach it, always in the same
+//! order: no two threads ever add to the same number, and the result does not depend on their count.
+
+use std::collections::HashMap;
+
+use super::transfer::{TILE, TILE_ORIGIN, Tile};
+use super::{Settings, Wall};
+use crate::collider::{Collider, Contact, apply_contacts};
+use crate::grid::{Grid, PADDING};
+use crate::particles::Block;
+
+/// No such block.
+const NONE: u32 = u32::MAX;
+/// Nodes per axis of a block.
+const SIDE: usize = 4;
+
+/// Values of the 4³ nodes of a block, `[x, y, z, mass]` per node, z fastest: after the grid update velocities, and for a
+/// share pass the numerator in x.
+#[derive(Clone)]
+#[repr(C, align(64))]
+pub(crate) struct NodeBlock(pub [f32; SIDE * SIDE * SIDE * 4]);
+
+impl NodeBlock {
+    const ZERO: Self = Self([0.0; SIDE * SIDE * SIDE * 4]);
+}
+
+/// What belongs to a node block besides its values.
+#[derive(Clone)]
+pub(crate) struct NodeInfo {
+    pub coords: [u32; 3],
+    /// Blocks of points around it, by `9 x + 3 y + z` with x, y, z in 0..3; [`NONE`] where there is none.
+    tiles: [u32; 27],
+    /// The block has nodes in the padding layers.
+    walls: bool,
+    /// Range of its contacts in [`Nodes::contacts`].
+    contacts: (u32, u32),
+    /// Liquid share of the mass of each node, where colliders ask for it.
+    liquid: Option<Box<[f32; 64]>>,
+}
+
+/// All active node blocks.
+#[derive(Default)]
+pub(crate) struct Nodes {
+    pub info: Vec<NodeInfo>,
+    pub values: Vec<NodeBlock>,
+    /// One tile per block of points, with the mask of the regions it touches.
+    pub tiles: Vec<(Tile, u32)>,
+    /// Node blocks around each block of points, by the same index as [`NodeInfo`].
+    pub around: Vec<[u32; 27]>,
+    contacts: Vec<Contact>,
+    /// Contacts of every block that was ever active, by block index.
+    known: HashMap<u32, Vec<Contact>>,
+    table: Vec<u32>,
+}
+
+/// Offsets of the 27 neighbours in index order.
+fn offsets() -> impl Iterator<Item = (usize, [i64; 3])> {
+    (0..27).map(|k| (k, [(k / 9) as i64 - 1, (k / 3 % 3) as i64 - 1, (k % 3) as i64 - 1]))
+}
+
+/// Range along one axis that a neighbour at offset −1, 0, 1 (as 0, 1, 2) shares with a tile: first tile node, first block
+/// node, count.
+#[inline(always)]
+fn overlap(side: usize) -> (usize, usize, usize) {
+    [(0, 2, 2), (2, 0, 4), (6, 0, 2)][side]
+}
+
+/// Equation-of-motion constants of one substep.
+pub(crate) struct GridStep<'a> {
+    pub settings: &'a Settings,
+    pub grid: &'a Grid,
+    pub dt: f64,
+    pub least_mass: f32,
+}
+
+impl Nodes {
+    /// Activates the nodes that the points of `blocks` can reach until the next sort.
+    pub fn rebuild(&mut self, grid: &Grid, blocks: &[Block], colliders: &[Collider]) {
+        let dims = grid.blocks();
+        self.table.clear();
+        self.table.resize(dims.iter().product(), NONE);
+        let neighbour = |c: [u32; 3], o: [i64; 3]| -> Option<[u32; 3]> {
+            let n: [i64; 3] = std::array::from_fn(|a| i64::from(c[a]) + o[a]);
+            (0..3).all(|a| n[a] >= 0 && n[a] < dims[a] as i64).then(|| n.map(|v| v as u32))
+        };
+        let mut points_at: HashMap<u32, u32> = HashMap::with_capacity(blocks.len());
+        for (i, b) in blocks.iter().enumerate() {
+            points_at.insert(grid.block_index(b.coords) as u32, i as u32);
+            for (_, o) in offsets() {
+                if let Some(n) = neighbour(b.coords, o) {
+                    self.table[grid.block_index(n)] = 0;
+                }
+            }
+        }
+        self.info.clear();
+        self.contacts.clear();
+        for index in 0..self.table.len() {
+            if self.table[index] == NONE {
+                continue;
+            }
+            self.table[index] = self.info.len() as u32;
+            let coords = [index / (dims[1] * dims[2]), index / dims[2] % dims[1], index % dims[2]].map(|v| v as u32);
+            let mut tiles = [NONE; 27];
+            for (k, o) in offsets() {
+                if let Some(n) = neighbour(coords, o) {
+                    tiles[k] = points_at.get(&(grid.block_index(n) as u32)).copied().unwrap_or(NONE);
+                }
+            }
+            let walls = (0..3).any(|a| {
+                let first = coords[a] as usize * SIDE;
+                first < PADDING || first + SIDE > grid.nodes[a] - PADDING
+            });
+            let mut contacts = (0, 0);
+            if !colliders.is_empty() {
+                let known = self.known.entry(index as u32).or_insert_with(|| find_contacts(grid, coords, colliders));
+                contacts = (self.contacts.len() as u32, (self.contacts.len() + known.len()) as u32);
+                self.contacts.extend_from_slice(known);
+            }
+            self.info.push(NodeInfo { coords, tiles, walls, contacts, liquid: None });
+        }
+        self.values.resize(self.info.len(), NodeBlock::ZERO);
+        self.tiles.resize(blocks.len(), (Tile::ZERO, 0));
+        self.around.clear();
+        for b in blocks {
+            let mut around = [NONE; 27];
+            for (k, o) in offsets() {
+                if let Some(n) = neighbour(b.coords, o) {
+                    around[k] = self.table[grid.block_index(n)];
+                }
+            }
+            self.around.push(around);
+        }
+    }
+
+    /// True where some active node is held by an obstacle that melts stick to.
+    pub fn wants_liquid(&self) -> bool {
+        self.contacts.iter().any(|c| c.melt_sticks)
+    }
+
+    /// Contacts of a node block.
+    fn contacts_of(&self, info: &NodeInfo) -> &[Contact] {
+        &self.contacts[info.contacts.0 as usize..info.contacts.1 as usize]
+    }
+
+    /// Sums the tiles into `out` for one block; returns false where nothing touches it.
+    fn sum_tiles(&self, info: &NodeInfo, out: &mut NodeBlock) -> bool {
+        out.0.fill(0.0);
+        let mut any = false;
+        for (k, &t) in info.tiles.iter().enumerate() {
+            if t == NONE {
+                continue;
+            }
+            let (tile, regions) = &self.tiles[t as usize];
+            // Seen from those points, this block lies at the opposite offset.
+            let side = 26 - k;
+            if regions >> side & 1 == 0 {
+                continue;
+            }
+            any = true;
+            let [(tx, bx, nx), (ty, by, ny), (tz, bz, nz)] = [side / 9, side / 3 % 3, side % 3].map(overlap);
+            for x in 0..nx {
+                for y in 0..ny {
+                    let from = (((tx + x) * TILE + ty + y) * TILE + tz) * 4;
+                    let to = (((bx + x) * SIDE + by + y) * SIDE + bz) * 4;
+                    for (a, b) in out.0[to..to + 4 * nz].iter_mut().zip(&tile.0[from..from + 4 * nz]) {
+                        *a += b;
+                    }
+                }
+            }
+        }
+        any
+    }
+
+    /// New velocities of one block from momenta in the tiles; returns the largest speed squared.
+    pub fn advance(&self, index: usize, out: &mut NodeBlock, step: &GridStep) -> f32 {
+        let info = &self.info[index];
+        if !self.sum_tiles(info, out) {
+            return 0.0;
+        }
+        let keep = (1.0 - step.settings.drag * step.dt).max(0.0) as f32;
+        let push = step.settings.gravity.map(|g| (g * step.dt) as f32);
+        for q in out.0.as_chunks_mut::<4>().0 {
+            let inverse = if q[3] > step.least_mass { keep / q[3] } else { 0.0 };
+            let g = if q[3] > step.least_mass { 1.0 } else { 0.0 };
+            for a in 0..3 {
+                q[a] = q[a] * inverse + g * push[a];
+            }
+        }
+        let mut contacts = self.contacts_of(info);
+        while let Some(first) = contacts.first() {
+            let count = contacts.iter().take_while(|c| c.node == first.node).count();
+            let q = &mut out.0[usize::from(first.node) * 4..][..4];
+            let liquid = info.liquid.as_ref().map_or(0.0, |l| l[usize::from(first.node)]);
+            let v = apply_contacts(&contacts[..count], [q[0], q[1], q[2]], liquid);
+            q[..3].copy_from_slice(&v);
+            contacts = &contacts[count..];
+        }
+        if info.walls {
+            walls(info.coords, out, step);
+        }
+        out.0.as_chunks::<4>().0.iter().fold(0.0f32, |m, q| m.max(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]))
+    }
+
+    /// Liquid share of the node masses from tiles that hold `[m f_l, ·, ·, m]`.
+    pub fn liquid_share(&self, index: usize) -> Option<Box<[f32; 64]>> {
+        let info = &self.info[index];
+        if !self.contacts_of(info).iter().any(|c| c.melt_sticks) {
+            return None;
+        }
+        let mut sum = NodeBlock::ZERO;
+        self.sum_tiles(info, &mut sum);
+        Some(Box::new(std::array::from_fn(|n| if sum.0[4 * n + 3] > 0.0 { sum.0[4 * n] / sum.0[4 * n + 3] } else { 0.0 })))
+    }
+
+    /// Stores the result of [`Nodes::liquid_share`].
+    pub fn set_liquid(&mut self, shares: Vec<Option<Box<[f32; 64]>>>) {
+        for (info, share) in self.info.iter_mut().zip(shares) {
+            info.liquid = share;
+        }
+    }
+
+    /// Copies the velocities around a block of points into a tile.
+    pub fn load_tile(&self, block: usize, out: &mut Tile) {
+        for (side, &n) in self.around[block].iter().enumerate() {
+            let [(tx, bx, nx), (ty, by, ny), (tz, bz, nz)] = [side / 9, side / 3 % 3, side % 3].map(overlap);
+            for x in 0..nx {
+                for y in 0..ny {
+                    let to = (((tx + x) * TILE + ty + y) * TILE + tz) * 4;
+                    let out = &mut out.0[to..to + 4 * nz];
+                    if n == NONE {
+                        out.fill(0.0);
+                    } else {
+                        let from = (((bx + x) * SIDE + by + y) * SIDE + bz) * 4;
+                        out.copy_from_slice(&self.values[n as usize].0[from..from + 4 * nz]);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Calls `f(node, mass, velocity)` for every active node inside the grid that has mass.
+    pub fn for_each(&self, grid: &Grid, mut f: impl FnMut([usize; 3], f32, [f32; 3])) {
+        for (info, values) in self.info.iter().zip(&self.values) {
+            for (n, q) in values.0.as_chunks::<4>().0.iter().enumerate() {
+                let local = [n / 16, n / 4 % 4, n % 4];
+                let node: [usize; 3] = std::array::from_fn(|a| info.coords[a] as usize * SIDE + local[a]);
+                if q[3] > 0.0 && (0..3).all(|a| node[a] < grid.nodes[a]) {
+                    f(node, q[3], [q[0], q[1], q[2]]);
+                }
+            }
+        }
+    }
+}
+
+/// Box walls: in the padding layers nothing moves outwards (slip) or at all (sticky).
+fn walls(coords: [u32; 3], out: &mut NodeBlock, step: &GridStep) {
+    for (n, q) in out.0.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+        let local = [n / 16, n / 4 % 4, n % 4];
+        for a in 0..3 {
+            let node = coords[a] as usize * SIDE + local[a];
+            let (low, high) = (node < PADDING, node + PADDING >= step.grid.nodes[a]);
+            for (active, wall, outward) in [(low, step.settings.walls[a][0], -1.0), (high, step.settings.walls[a][1], 1.0)] {
+                if active {
+                    match wall {
+                        Wall::Slip if q[a] * outward > 0.0 => q[a] = 0.0,
+                        Wall::Slip => {}
+                        Wall::Sticky => q[..3].fill(0.0),
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The nodes of a block that obstacles hold, ordered by node and then obstacle.
+fn find_contacts(grid: &Grid, coords: [u32; 3], colliders: &[Collider]) -> Vec<Contact> {
+    let mut found = Vec::new();
+    for n in 0..SIDE * SIDE * SIDE {
+        let local = [n / 16, n / 4 % 4, n % 4];
+        let x = grid.position(std::array::from_fn(|a| coords[a] as usize * SIDE + local[a]));
+        for c in colliders {
+            let (d, normal) = c.shape.distance(x);
+            if d < c.offset * grid.spacing {
+                found.push(Contact {
+                    node: n as u8,
+                    mode: c.mode,
+                    melt_sticks: c.melt_sticks,
+                    friction: c.friction as f32,
+                    normal: normal.map(|v| v as f32),
+                });
+            }
+        }
+    }
+    found
+}
+
+const _: () = assert!(TILE == SIDE + 2 * TILE_ORIGIN as usize);

@@ -1,0 +1,200 @@
+//! P2G and G2P of one point at a time across the lanes of its nodes (simulation.md §2.1, §2.2, §2.4).
+//!
+//! Four nodes along z with four values each (velocity or momentum, and mass) are one 16-lane vector; a stencil is nine of
+//! them, the fourth node with weight 0. Points of one cell follow each other, so the nine vectors stay in registers:
+//! gathering loads them once per cell, scattering adds them to memory once per cell.
+
+use fearless_simd::{Simd, SimdBase, SimdFloat, SimdSplit, f32x4, f32x16};
+use megas_math::simd::transpose::Record;
+
+/// Nodes per axis of a tile: a block, one node of stencil and one of drift on each side.
+pub(crate) const TILE: usize = 8;
+/// Values of a tile, with room for the unused fourth node of the last stencil row.
+pub(crate) const TILE_LEN: usize = TILE * TILE * TILE * 4 + 16;
+/// First node of a tile relative to the first node of its block.
+pub(crate) const TILE_ORIGIN: u32 = 2;
+/// Points handled together.
+pub(crate) const CHUNK: usize = 16;
+
+/// Node values of a block and its surroundings, `[x, y, z, mass]` per node, z fastest.
+#[derive(Clone)]
+#[repr(C, align(64))]
+pub(crate) struct Tile(pub [f32; TILE_LEN]);
+
+impl Tile {
+    pub const ZERO: Self = Self([0.0; TILE_LEN]);
+}
+
+/// Stencils of a chunk of points: per axis the three weights `w`, the weights times distance `w (k − 1 − g)` in node spacings
+/// (x and y), the offset along z, and the first node of the stencil in the tile.
+#[repr(C, align(64))]
+pub(crate) struct Stencils {
+    pub wx: [[f32; CHUNK]; 3],
+    pub dx: [[f32; CHUNK]; 3],
+    pub wy: [[f32; CHUNK]; 3],
+    pub dy: [[f32; CHUNK]; 3],
+    pub gz: [f32; CHUNK],
+    pub first: [u32; CHUNK],
+}
+
+impl Stencils {
+    pub const ZERO: Self = Self {
+        wx: [[0.0; CHUNK]; 3],
+        dx: [[0.0; CHUNK]; 3],
+        wy: [[0.0; CHUNK]; 3],
+        dy: [[0.0; CHUNK]; 3],
+        gz: [0.0; CHUNK],
+        first: [0; CHUNK],
+    };
+}
+
+/// Coefficients of the z weights per lane: `w = (c2 g + c1) g + c0`, and the node offset of the lane.
+struct AxisZ<S: Simd> {
+    c0: f32x16<S>,
+    c1: f32x16<S>,
+    c2: f32x16<S>,
+    node: f32x16<S>,
+}
+
+impl<S: Simd> AxisZ<S> {
+    #[inline(always)]
+    fn new(s: S) -> Self {
+        let lanes = |v: [f32; 4]| f32x16::from_fn(s, |i| v[i / 4]);
+        Self {
+            c0: lanes([0.125, 0.75, 0.125, 0.0]),
+            c1: lanes([-0.5, 0.0, 0.5, 0.0]),
+            c2: lanes([0.5, -1.0, 0.5, 0.0]),
+            node: lanes([-1.0, 0.0, 1.0, 2.0]),
+        }
+    }
+
+    /// Weight and distance of the four nodes.
+    #[inline(always)]
+    fn at(&self, g: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
+        (self.c2.mul_add(g, self.c1).mul_add(g, self.c0), self.node - g)
+    }
+}
+
+#[inline(always)]
+fn row(first: u32, i: usize, j: usize) -> usize {
+    (first as usize + (i * TILE + j) * TILE) * 4
+}
+
+/// Sum of the four nodes of a row vector.
+#[inline(always)]
+fn sum_nodes<S: Simd>(v: f32x16<S>) -> f32x4<S> {
+    let (lo, hi) = v.split();
+    let (a, b) = (lo + hi).split();
+    a + b
+}
+
+/// G2P of the first `count` points: record `[v, Σ w m, Σ w d_x v, ·, Σ w d_y v, ·, Σ w d_z v, ·]` with distances in node
+/// spacings.
+#[inline(always)]
+pub(crate) fn gather<S: Simd>(s: S, tile: &Tile, st: &Stencils, count: usize, out: &mut [Record; CHUNK]) {
+    let z = AxisZ::new(s);
+    let splat = |v: f32| f32x16::splat(s, v);
+    let zero = splat(0.0);
+    let mut rows = [[zero; 3]; 3];
+    let mut last = u32::MAX;
+    for p in 0..count.min(CHUNK) {
+        let first = st.first[p];
+        if first != last {
+            last = first;
+            for i in 0..3 {
+                for j in 0..3 {
+                    let o = row(first, i, j);
+                    rows[i][j] = f32x16::from_slice(s, &tile.0[o..o + 16]);
+                }
+            }
+        }
+        let (wz, dz) = z.at(splat(st.gz[p]));
+        let wy = [0, 1, 2].map(|j| splat(st.wy[j][p]));
+        let dy = [0, 1, 2].map(|j| splat(st.dy[j][p]));
+        let (mut v, mut vx, mut vy) = (zero, zero, zero);
+        for i in 0..3 {
+            let plain = rows[i][2].mul_add(wy[2], rows[i][1].mul_add(wy[1], rows[i][0] * wy[0]));
+            let lever = rows[i][2].mul_add(dy[2], rows[i][1].mul_add(dy[1], rows[i][0] * dy[0]));
+            let wx = splat(st.wx[i][p]);
+            v = plain.mul_add(wx, v);
+            vx = plain.mul_add(splat(st.dx[i][p]), vx);
+            vy = lever.mul_add(wx, vy);
+        }
+        let v = v * wz;
+        let record = &mut out[p].0;
+        sum_nodes(v).store_slice(&mut record[0..4]);
+        sum_nodes(vx * wz).store_slice(&mut record[4..8]);
+        sum_nodes(vy * wz).store_slice(&mut record[8..12]);
+        sum_nodes(v * dz).store_slice(&mut record[12..16]);
+    }
+}
+
+/// P2G of the first `count` points: record `[m v, m, A_x, 0, A_y, 0, A_z, 0]` with the columns of `A` per node spacing. Returns
+/// the regions of the tile that were touched (see [`touched`]).
+#[inline(always)]
+pub(crate) fn scatter<S: Simd>(s: S, tile: &mut Tile, st: &Stencils, count: usize, records: &[Record; CHUNK]) -> u32 {
+    let z = AxisZ::new(s);
+    let splat = |v: f32| f32x16::splat(s, v);
+    let zero = splat(0.0);
+    let mut sums = [[zero; 3]; 3];
+    let count = count.min(CHUNK);
+    let mut regions = 0;
+    for p in 0..count {
+        let first = st.first[p];
+        let record = &records[p].0;
+        let quad = |k: usize| f32x16::block_splat(f32x4::from_slice(s, &record[4 * k..4 * k + 4]));
+        let (wz, dz) = z.at(splat(st.gz[p]));
+        let plain = quad(3).mul_add(dz, quad(0)) * wz;
+        let ax = quad(1) * wz;
+        let ay = quad(2) * wz;
+        let wy = [0, 1, 2].map(|j| splat(st.wy[j][p]));
+        let dy = [0, 1, 2].map(|j| splat(st.dy[j][p]));
+        for i in 0..3 {
+            let wx = splat(st.wx[i][p]);
+            let t = ax.mul_add(splat(st.dx[i][p]), plain * wx);
+            let u = ay * wx;
+            for j in 0..3 {
+                sums[i][j] = u.mul_add(dy[j], t.mul_add(wy[j], sums[i][j]));
+            }
+        }
+        if p + 1 == count || st.first[p + 1] != first {
+            regions |= touched(first);
+            for i in 0..3 {
+                for j in 0..3 {
+                    let o = row(first, i, j);
+                    let memory = &mut tile.0[o..o + 16];
+                    (f32x16::from_slice(s, memory) + sums[i][j]).store_slice(memory);
+                    sums[i][j] = zero;
+                }
+            }
+        }
+    }
+    regions
+}
+
+/// Bit `9 x + 3 y + z` (each 0, 1, 2: the neighbour block below, the block itself, the one above) is set where a stencil whose
+/// first node is `first` reaches that part of the tile.
+#[inline(always)]
+fn touched(first: u32) -> u32 {
+    let axis = |base: u32| 0b010 | u32::from(base < 2) | (u32::from(base >= 4) << 2);
+    let z = axis(first & 7);
+    let y = axis((first >> 3) & 7);
+    let x = axis(first >> 6);
+    let spread =
+        |bits: u32, by: u32, stride: u32| (0..3).fold(0, |acc, k| if bits >> k & 1 == 1 { acc | (by << (k * stride)) } else { acc });
+    spread(x, spread(y, z, 3), 9)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn touched_regions_follow_the_stencil() {
+        let bit = |x: u32, y: u32, z: u32| 1 << (9 * x + 3 * y + z);
+        let first = |x: u32, y: u32, z: u32| (x * 8 + y) * 8 + z;
+        assert_eq!(touched(first(2, 3, 2)), bit(1, 1, 1));
+        assert_eq!(touched(first(1, 2, 4)), bit(1, 1, 1) | bit(0, 1, 1) | bit(1, 1, 2) | bit(0, 1, 2));
+        assert_eq!(touched(first(5, 5, 5)).count_ones(), 8);
+    }
+}
