@@ -3,7 +3,7 @@
 
 mod common;
 
-use std::{path::Path, sync::LazyLock, time::Instant};
+use std::{path::Path, sync::LazyLock};
 
 use common::sample;
 use megas_formats::{FormatError, WriteOptions, load_splats, read_mesh_ply, save_splats};
@@ -34,51 +34,6 @@ fn fails(dir: &Path, name: &str, bytes: impl AsRef<[u8]>, parts: &[&str]) {
     let text = load(dir, name, bytes).unwrap_err().to_string();
     for p in parts {
         assert!(text.contains(p), "'{p}' is not in: {text}");
-    }
-}
-
-/// Highest address space this process has ever had \[bytes\].
-fn peak_memory() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmPeak"))?;
-    Some(line.split_whitespace().nth(1)?.parse::<u64>().ok()? << 10)
-}
-
-#[test]
-fn enormous_claims_cost_nothing() {
-    let dir = tempdir().unwrap();
-    let mut cases = vec![
-        ("a.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 4294967296\nproperty float x\nend_header\n".to_owned()),
-        (
-            "b.ply",
-            "ply\nformat binary_little_endian 1.0\nelement chunk 4294967296\nproperty float min_x\n\
-             element vertex 4294967296\nproperty uint packed_position\nend_header\n"
-                .into(),
-        ),
-        (
-            "list.ply",
-            "ply\nformat ascii 1.0\nelement a 18446744073709551615\nproperty list uint float v\n\
-             element vertex 1\nproperty float x\nend_header\n3 1 1 1\n"
-                .into(),
-        ),
-    ];
-    for format in ["ascii", "binary_little_endian", "binary_big_endian"] {
-        for count in [1 << 32, 1 << 24, u64::MAX, u64::MAX / 56 + 1] {
-            cases.push(("c.ply", header(format, count, "float", &ROW) + "0 0"));
-            cases.push(("d.ply", header(format, count, "uchar", &ROW) + "0 0"));
-        }
-    }
-    let (before, start) = (peak_memory(), Instant::now());
-    let n = cases.len() as u32;
-    for (name, text) in &cases {
-        assert!(load(dir.path(), name, text).is_err(), "{text}");
-        assert!(read_mesh_ply(dir.path().join(name)).is_err());
-    }
-    let each = start.elapsed() / n;
-    assert!(each.as_millis() < 10, "{each:?}");
-    if let (Some(a), Some(b)) = (before, peak_memory()) {
-        // Other tests of this file run at the same time; a believed claim would have cost gigabytes.
-        assert!(b - a < 64 << 20, "{} MiB", (b - a) >> 20);
     }
 }
 
