@@ -181,10 +181,8 @@ impl<'s> Walk<'s, '_> {
             Some("object") => self.check_object(node, schema),
             Some("array") => self.check_array(node, schema),
             Some("string") if node.value().is_none_or(|v| !v.is_str()) => self.wrong_value(node, "expected text in quotes"),
-            Some("string") if schema.get("pattern").is_some_and(|p| p == COLOUR_PATTERN) => {
-                if !node.value().and_then(Value::as_str).is_some_and(is_colour) {
-                    self.wrong_value(node, "expected \"#rrggbb\" or 3 numbers");
-                }
+            Some("string") if schema.get("pattern").is_some_and(|p| p == COLOUR_PATTERN) && !is_text(node, is_colour) => {
+                self.wrong_value(node, "expected \"#rrggbb\" or 3 numbers");
             }
             Some("boolean") if node.value().is_none_or(|v| !v.is_bool()) => self.wrong_value(node, "expected true or false"),
             Some(kind @ ("number" | "integer")) => self.check_number(node, schema, kind == "integer"),
@@ -350,6 +348,10 @@ impl<'s> Walk<'s, '_> {
             self.report(format!("{key}: write exactly one of: {}", names.join(", ")));
         }
     }
+}
+
+fn is_text(node: Node<'_>, test: fn(&str) -> bool) -> bool {
+    node.value().and_then(Value::as_str).is_some_and(test)
 }
 
 fn words_of(schema: &Json) -> impl Iterator<Item = &str> {

@@ -24,10 +24,12 @@ pub enum ColliderMode {
 pub enum ColliderShape {
     /// A floor or wall.
     Plane(Plane),
-    /// A box; it cannot be turned.
+    /// A box, turned by right angles at most.
     Box(BoxShape),
     /// A ball.
     Sphere(Sphere),
+    /// An upright cylinder.
+    Cylinder(Tube),
     /// A cylinder with round ends.
     Capsule(Tube),
 }

@@ -83,7 +83,7 @@ pub(crate) fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a s
 }
 
 /// `; did you mean "x"?`, or the list of what is allowed.
-pub(crate) fn suggestion<'a>(word: &str, candidates: &[&'a str]) -> String {
+pub(crate) fn suggestion(word: &str, candidates: &[&str]) -> String {
     match nearest(word, candidates.iter().copied()) {
         Some(c) => format!("; did you mean \"{c}\"?"),
         None if candidates.is_empty() => String::new(),

@@ -254,12 +254,8 @@ fn motion(keys: &[MotionKey], r: &mut Report) {
 fn collider(c: &Collider, r: &mut Report) {
     match &c.shape {
         ColliderShape::Plane(p) => direction(p.normal, "shape.plane.normal", r),
-        ColliderShape::Box(b) => {
-            r.inside("shape", None, |r| r.inside("box", None, |r| boxed(b, r)));
-            if b.rotation_deg.is_some() {
-                r.say("shape.box.rotation_deg", "collider: a box cannot be turned; use a plane or a capsule for slopes");
-            }
-        }
+        ColliderShape::Box(b) => r.inside("shape", None, |r| r.inside("box", None, |r| boxed(b, r))),
+        ColliderShape::Cylinder(t) => r.inside("shape", None, |r| r.inside("cylinder", None, |r| tube(t, r))),
         ColliderShape::Sphere(_) | ColliderShape::Capsule(_) => {}
     }
 }
