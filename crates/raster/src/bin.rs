@@ -3,6 +3,8 @@
 //! The depth order is cut into ranges; each range makes tile lists of its own, and the list of a tile is the concatenation
 //! of its lists over the ranges. How the order is cut therefore changes nothing but the speed.
 
+use fearless_simd::{Level, dispatch};
+
 use crate::project::{Bounds, Record};
 
 /// The tile lists of one range of the depth order.
@@ -23,13 +25,20 @@ impl Lists {
     }
 
     /// Lists the Gaussians `first..first + records.len()` of the depth order.
-    pub fn build(&mut self, records: &[Record], bounds: &[Bounds], first: u32, tiles: [usize; 2], tile: f32) {
+    pub fn build(&mut self, level: Level, records: &[Record], bounds: &[Bounds], first: u32, tiles: [usize; 2], tile: f32) {
+        // Scalar code, but with the instruction set's rounding and square roots.
+        dispatch!(level, _simd => self.build_inline(records, bounds, first, tiles, tile));
+    }
+
+    #[inline(always)]
+    fn build_inline(&mut self, records: &[Record], bounds: &[Bounds], first: u32, tiles: [usize; 2], tile: f32) {
         self.pairs.clear();
         let columns = tiles[0] as u32;
         for (k, (r, b)) in records.iter().zip(bounds).enumerate() {
             let rank = first + k as u32;
             let (x0, x1, y0, y1) = (u32::from(b.x[0]), u32::from(b.x[1]), u32::from(b.y[0]), u32::from(b.y[1]));
-            if x1 - x0 == 1 || y1 - y0 == 1 && x1 - x0 <= 2 {
+            if (x1 - x0) * (y1 - y0) <= 4 {
+                // Few enough that the test of the bricks is cheaper than one of the rows.
                 for y in y0..y1 {
                     for x in x0..x1 {
                         self.pairs.push((y * columns + x, rank));
@@ -81,6 +90,7 @@ struct Spans {
 }
 
 impl Spans {
+    #[inline(always)]
     fn new(r: &Record) -> Self {
         let [_, l2, l3] = r.l;
         let limit = r.limit * 1.0001;
@@ -95,6 +105,7 @@ impl Spans {
     }
 
     /// Least and greatest x of the support over pixel centres with y in `top..=bottom`, a little too wide.
+    #[inline(always)]
     fn over(&self, top: f32, bottom: f32) -> Option<[f32; 2]> {
         let margin = 0.01 + 2e-6 * self.reach;
         let lo = (top - self.mean[1] - margin).max(-self.reach);

@@ -16,6 +16,9 @@ use crate::project::{Extra, Record};
 /// Edge of a block \[px\].
 pub(crate) const BLOCK: usize = 16;
 
+/// Records fetched at a time.
+const STAGE: usize = 64;
+
 /// One quantity of the 256 pixels of a block: `[brick][pixel]`.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
@@ -131,12 +134,14 @@ pub(crate) fn pixel_of(brick: usize, lane: usize) -> [usize; 2] {
 }
 
 fn start<C: Set, const N: usize>(scene: &Scene, place: Place, planes: &mut [Plane; N]) {
-    for p in planes.iter_mut() {
-        *p = Plane::default();
+    for brick in planes.iter_mut().flat_map(|p| &mut p.0) {
+        *brick = [0.0; 16];
     }
     let (w, h) = (scene.size[0].saturating_sub(place.x).min(place.edge), scene.size[1].saturating_sub(place.y).min(place.edge));
     if w == BLOCK && h == BLOCK {
-        planes[0] = Plane([[1.0; 16]; 16]);
+        for brick in &mut planes[0].0 {
+            *brick = [1.0; 16];
+        }
     } else {
         for brick in 0..16 {
             for lane in 0..16 {
@@ -205,9 +210,24 @@ fn composite_simd<S: Simd, C: Set, const N: usize>(
     let mut live = alive(simd, &planes[0]);
     let mut until_check = 16;
     let mut slot = 0usize;
-    for lists in scene.lists {
-        for &rank in lists.of(place.tile) {
-            let r = &scene.records[rank as usize];
+    // Records lie in depth order, so a tile's are scattered over memory: fetched one by one between the branches below, the
+    // wait for each would cost as much as all the arithmetic. Copied in batches the misses overlap.
+    let mut staged = [Record::default(); STAGE];
+    let mut ranks = [0u32; STAGE];
+    let mut all = scene.lists.iter().flat_map(
+        #[inline(always)]
+        |l| l.of(place.tile),
+    );
+    loop {
+        let mut count = 0;
+        for ((s, r), &rank) in staged.iter_mut().zip(&mut ranks).zip(all.by_ref()) {
+            (*s, *r) = (scene.records[rank as usize], rank);
+            count += 1;
+        }
+        if count == 0 {
+            return;
+        }
+        for (r, &rank) in staged[..count].iter().zip(&ranks) {
             let (l1, l2, l3) = (v(r.l[0]), v(r.l[1]), v(r.l[2]));
             let x0 = brick_x - v(r.base[0]) - v(r.rest[0]);
             let y0 = brick_y - v(r.base[1]) - v(r.rest[1]);

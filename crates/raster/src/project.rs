@@ -187,10 +187,10 @@ fn image_space<S: Simd>(simd: S, view: &View, mean: &[[f64; 8]; 3], cov: &[[f64;
     let load = |a: &[f64; 8]| f64x8::load_array_ref(simd, a);
     let x: [f64x8<S>; 3] = [load(&mean[0]), load(&mean[1]), load(&mean[2])];
     let c: [f64x8<S>; 6] = [load(&cov[0]), load(&cov[1]), load(&cov[2]), load(&cov[3]), load(&cov[4]), load(&cov[5])];
-    let p: [f64x8<S>; 3] = [0, 1, 2].map(
-        #[inline(always)]
-        |r| x[0].mul_add(v(view.w[r][0]), x[1].mul_add(v(view.w[r][1]), x[2].mul_add(v(view.w[r][2]), v(view.t[r])))),
-    );
+    let mut p = [v(0.0); 3];
+    for r in 0..3 {
+        p[r] = x[0].mul_add(v(view.w[r][0]), x[1].mul_add(v(view.w[r][1]), x[2].mul_add(v(view.w[r][2]), v(view.t[r]))));
+    }
     let row = |r: usize| -> [f64x8<S>; 3] { [v(view.w[r][0]), v(view.w[r][1]), v(view.w[r][2])] };
     let (rows, m) = if view.pinhole {
         let iz = v(1.0) / p[2];
@@ -244,7 +244,7 @@ fn image_space<S: Simd>(simd: S, view: &View, mean: &[[f64; 8]; 3], cov: &[[f64;
     };
     Lanes {
         z: p[2].to_array(),
-        mean: m.map(|v| v.to_array()),
+        mean: [m[0].to_array(), m[1].to_array()],
         variance: [a.to_array(), b.to_array()],
         l: [(b * rd).to_array(), (-s01 * rd).to_array(), r1.to_array()],
         compensation: compensation.to_array(),

@@ -18,6 +18,9 @@ const STRIP_BYTES: usize = 48 << 20;
 const RANGE: usize = 4096;
 const RANGES: usize = 32;
 
+/// For channel sets without votes.
+static NO_RAYS: [Plane; 3] = [Plane([[0.0; 16]; 16]); 3];
+
 /// Renders Gaussians. Keeps its scratch memory, so repeated renders of similar size allocate nothing; results do not depend
 /// on earlier calls, on the number of threads, or on the tile size.
 #[derive(Debug)]
@@ -121,11 +124,11 @@ impl Rasterizer {
     }
 
     fn bin(&mut self, view: &View) {
-        let range = self.range();
+        let (range, level) = (self.range(), self.level);
         self.lists.resize_with(self.records.len().div_ceil(range), Default::default);
         let ranges = self.records.par_chunks(range).zip(self.bounds.par_chunks(range));
         self.lists.par_iter_mut().zip(ranges).enumerate().for_each(|(c, (lists, (records, bounds)))| {
-            lists.build(records, bounds, (c * range) as u32, view.tiles, view.tile());
+            lists.build(level, records, bounds, (c * range) as u32, view.tiles, view.tile());
         });
     }
 
@@ -164,7 +167,7 @@ impl Rasterizer {
                         kernel::composite::<C, N>(&scene, place, block, &rays(camera, place), tallies);
                         count_winners(block, C::WINNER, tallies);
                     } else {
-                        kernel::composite::<C, N>(&scene, place, block, &[Plane::default(); 3], tallies);
+                        kernel::composite::<C, N>(&scene, place, block, &NO_RAYS, tallies);
                     }
                 }
             };

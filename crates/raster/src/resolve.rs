@@ -86,58 +86,89 @@ impl<'a> Window<'a> {
     }
 }
 
-/// Where the pixel in column `x` and row `y` of the image lies within its block: `(brick, lane)`.
-#[inline(always)]
-fn within(x: usize, y: usize) -> (usize, usize) {
-    (y / 4 % 4 * 4 + x / 4 % 4, y % 4 * 4 + x % 4)
-}
-
-/// Writes row `y`. `planes_of(x)` are the planes of the block that holds column `x` of that row, `tallies_of(x)` those of
-/// its tile.
+/// Writes row `y`. `planes_of(x)` are the planes of the block whose first column is `x`, `tallies_of(x)` those of its tile.
 pub(crate) fn resolve_row<'p, C: Set>(
     scene: &Scene,
     camera: &Camera,
     background: [f32; 3],
     y: usize,
     edge: usize,
-    row: Window,
+    mut row: Window,
     planes_of: impl Fn(usize) -> &'p [Plane],
     tallies_of: impl Fn(usize) -> &'p [Tally],
 ) {
     let width = scene.size[0];
+    let lane = y % 4 * 4;
     for start in (0..width).step_by(edge) {
         let planes = planes_of(start);
-        let end = (start + edge).min(width);
-        for x in start..end {
-            // Blocks start at multiples of their edge, bricks at multiples of four.
-            let (brick, lane) = within(x % edge, y % edge);
-            let at = |k: usize| planes[k].0[brick][lane];
-            let t = at(0).abs();
-            row.transmittance[x] = t;
+        // Blocks start at multiples of their edge, bricks at multiples of four.
+        for x in (start..(start + edge).min(width)).step_by(4) {
+            let brick = y % edge / 4 * 4 + (x - start) / 4;
+            let at = |k: usize| four(&planes[k].0[brick], lane);
+            let n = (width - x).min(4);
+            let mut t = at(0);
+            for t in &mut t {
+                *t = t.abs();
+            }
+            put(&mut row.transmittance[x..], &t);
             if let Some(k) = C::RGB {
-                row.rgb[x] = [at(k) + t * background[0], at(k + 1) + t * background[1], at(k + 2) + t * background[2]];
+                let mut rgb = [[0.0; 3]; 4];
+                for c in 0..3 {
+                    let plane = at(k + c);
+                    for i in 0..4 {
+                        rgb[i][c] = plane[i] + t[i] * background[c];
+                    }
+                }
+                put(&mut row.rgb[x..], &rgb);
             }
             if let Some(k) = C::TEMPERATURE {
-                row.temperature[x] = at(k);
+                put(&mut row.temperature[x..], &at(k));
             }
             if let Some(k) = C::GEOMETRY {
-                let alpha = 1.0 - t;
-                row.depth[x] = at(k) / alpha.max(1e-6);
-                let n = [at(k + 1), at(k + 2), at(k + 3)];
-                row.normal[x] = n;
-                row.planar_depth[x] = planar_depth(camera, x, y, n, at(k + 4), alpha);
-                row.median_depth[x] = at(k + 5);
+                geometry(camera, x, y, n, k, &t, at, &mut row);
             }
             if let Some(k) = C::WINNER {
-                let id = at(k + 1).to_bits();
-                row.argmax_weight[x] = at(k);
-                row.argmax[x] = match id {
-                    crate::NO_GAUSSIAN => id,
-                    slot if C::STATISTICS => scene.records[tallies_of(start)[slot as usize].rank as usize].index,
-                    rank => scene.records[rank as usize].index,
-                };
+                put(&mut row.argmax_weight[x..], &at(k));
+                for (i, id) in at(k + 1).iter().enumerate().take(n) {
+                    row.argmax[x + i] = match id.to_bits() {
+                        crate::NO_GAUSSIAN => crate::NO_GAUSSIAN,
+                        slot if C::STATISTICS => scene.records[tallies_of(start)[slot as usize].rank as usize].index,
+                        rank => scene.records[rank as usize].index,
+                    };
+                }
             }
         }
+    }
+}
+
+/// Four neighbours in a row of a brick.
+#[inline(always)]
+fn four(brick: &[f32; 16], lane: usize) -> [f32; 4] {
+    let [a, b, c, d] = [lane & 12, (lane & 12) + 1, (lane & 12) + 2, (lane & 12) + 3];
+    [brick[a], brick[b], brick[c], brick[d]]
+}
+
+/// Writes four neighbours, or what the row has room for.
+#[inline(always)]
+fn put<T: Copy>(out: &mut [T], v: &[T; 4]) {
+    match out.first_chunk_mut::<4>() {
+        Some(out) => *out = *v,
+        None => out.copy_from_slice(&v[..out.len()]),
+    }
+}
+
+/// Depths and normals of `n` pixels from column `x`; `at(k)` is the first of the planes, `t` the transmittance.
+#[inline(always)]
+fn geometry(camera: &Camera, x: usize, y: usize, n: usize, k: usize, t: &[f32; 4], at: impl Fn(usize) -> [f32; 4], row: &mut Window) {
+    let (z, plane, median) = (at(k), at(k + 4), at(k + 5));
+    let normal = [at(k + 1), at(k + 2), at(k + 3)];
+    for i in 0..n {
+        let alpha = 1.0 - t[i];
+        let n = [normal[0][i], normal[1][i], normal[2][i]];
+        row.depth[x + i] = z[i] / alpha.max(1e-6);
+        row.normal[x + i] = n;
+        row.planar_depth[x + i] = planar_depth(camera, x + i, y, n, plane[i], alpha);
+        row.median_depth[x + i] = median[i];
     }
 }
 
