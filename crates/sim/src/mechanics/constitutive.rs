@@ -4,6 +4,7 @@
 //! their digits. Small strains use power series; lanes with large ones take the eigen-decomposition instead.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
+use megas_math::Mat3;
 use megas_math::simd::elementary::{exp, exp_m1, ln, ln_1p, powf};
 use megas_math::simd::symmetric::{EXP_M1, LN_1P, SERIES_P, SQRT_1P_M1, Traceless, contract, eigen, from_eigen};
 use megas_math::simd::{Lanes, Mat3s, Sym3};
@@ -256,4 +257,126 @@ pub(crate) fn respond<S: Simd>(
         }
     }
     Response { stress, elastic, plastic, volume, degenerate }
+}
+
+/// The production law at one point, for tests and diagnostics: `F − I` after the return map of a step of `dt` seconds, and the
+/// Kirchhoff stress \[Pa\]. The gradient must not be degenerate.
+pub fn material_point(law: &crate::reference::Law<f32>, h: Mat3<f32>, dt: f32) -> (Mat3<f32>, Mat3<f32>) {
+    fearless_simd::dispatch!(fearless_simd::Level::new(), s => one(s, law, h, dt))
+}
+
+#[inline(always)]
+fn one<S: Simd>(s: S, law: &crate::reference::Law<f32>, h: Mat3<f32>, dt: f32) -> (Mat3<f32>, Mat3<f32>) {
+    let c = |v| Lanes::<S>::splat(s, v);
+    let corotated = law.law == crate::particles::FIXED_COROTATED;
+    let parameters = Parameters {
+        shear: c(law.shear),
+        bulk: c(law.bulk),
+        yield_stress: c(law.yield_stress),
+        viscosity: c(law.viscosity),
+        exponent: c(law.exponent),
+        corotated: Mask::<S>::splat(s, corotated),
+    };
+    let r = respond(s, h.map(|row| row.map(c)), &parameters, !corotated, corotated, Some(dt), false);
+    let t = r.stress.map(|v| v[0]);
+    (r.elastic.map(|row| row.map(|v| v[0])), [[t[0], t[3], t[4]], [t[3], t[1], t[5]], [t[4], t[5], t[2]]])
+}
+
+#[cfg(test)]
+mod tests {
+    use megas_math::rng::Rng;
+    use megas_math::{mat3, svd};
+
+    use super::*;
+    use crate::particles::{FIXED_COROTATED, HENCKY};
+    use crate::reference::{Law, return_map, stress};
+
+    fn wide(law: &Law<f32>) -> Law<f64> {
+        Law {
+            law: law.law,
+            shear: law.shear.into(),
+            bulk: law.bulk.into(),
+            yield_stress: law.yield_stress.into(),
+            viscosity: law.viscosity.into(),
+            exponent: law.exponent.into(),
+        }
+    }
+
+    /// Rotations times stretches from tiny to large, as `F − I`.
+    fn gradients(seed: u64) -> Vec<Mat3<f32>> {
+        let mut rng = Rng::new(seed);
+        let mut all = Vec::new();
+        for size in [0.0, 1e-6, 1e-4, 1e-2, 0.05, 0.1, 0.3, 1.0, 2.0] {
+            for turn in [false, true] {
+                for _ in 0..40 {
+                    let any: Mat3<f64> = std::array::from_fn(|_| std::array::from_fn(|_| rng.range(-1.0, 1.0)));
+                    let d = svd::svd(any);
+                    let s: [f64; 3] = std::array::from_fn(|_| (size * rng.range(-1.0, 1.0)).exp());
+                    let sym = mat3::congruence(d.u, mat3::diag(s));
+                    let f = if turn { mat3::mul(sym, mat3::mul(d.u, mat3::transpose(d.v))) } else { sym };
+                    all.push(mat3::cast(mat3::sub(f, mat3::identity())));
+                }
+            }
+        }
+        all
+    }
+
+    #[test]
+    fn stress_and_flow_follow_the_oracle_for_small_and_large_strains() {
+        let hencky = Law { law: HENCKY, shear: 3e3f32, bulk: 1e4, yield_stress: f32::INFINITY, viscosity: 1.0, exponent: 1.0 };
+        let laws = [
+            hencky,
+            Law { yield_stress: 100.0, viscosity: 0.0, ..hencky },
+            Law { yield_stress: 100.0, viscosity: 20.0, ..hencky },
+            Law { yield_stress: 10.0, viscosity: 20.0, exponent: 0.4, ..hencky },
+            Law { yield_stress: 10.0, viscosity: 3.0, exponent: 1.7, ..hencky },
+            Law { yield_stress: 0.0, viscosity: 1e-3, exponent: 0.2, ..hencky },
+            Law { law: FIXED_COROTATED, ..hencky },
+        ];
+        for law in laws {
+            for h in gradients(4) {
+                let dt = 1e-3;
+                let f = mat3::add(mat3::cast(h), mat3::identity());
+                let (want_f, _) = return_map(&wide(&law), f, f64::from(dt));
+                let want = stress(&wide(&law), want_f);
+                let (got_h, got) = material_point(&law, h, dt);
+                let got_f = mat3::add(mat3::cast(got_h), mat3::identity());
+                let error = mat3::norm(mat3::sub(got_f, want_f));
+                // Working with b = F Fᵀ costs digits where the stretches differ by orders of magnitude.
+                let s = svd::svd(f).s;
+                let allowed = 1.0 + 0.2 * (s[0] / s[2] - 1.0);
+                assert!(error <= 3e-6 * allowed * mat3::norm(want_f), "{law:?} {h:?}: F off by {error:e}");
+                // Stress errors: rounding of the strain (also 1 ulp of the rotation inside F) times the stiffness.
+                let strain = mat3::norm(mat3::sub(f, mat3::identity())).max(1e-7);
+                let size = mat3::norm(want) + 2e4 * strain.min(1.0);
+                let error = mat3::norm(mat3::sub(mat3::cast::<f32, f64>(got), want));
+                assert!(error <= 5e-6 * size * allowed, "{law:?} {h:?}: stress off by {error:e} of {size:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn strains_far_below_rounding_of_one_keep_their_digits() {
+        let law = Law { law: HENCKY, shear: 3e3f32, bulk: 1e5, yield_stress: f32::INFINITY, viscosity: 1.0, exponent: 1.0 };
+        for law in [law, Law { law: FIXED_COROTATED, ..law }] {
+            let h = mat3::diag([-1e-9f32; 3]);
+            let (_, t) = material_point(&law, h, 1e-4);
+            assert!((t[0][0] / (law.bulk * -3e-9) - 1.0).abs() < 1e-5, "{t:?}");
+        }
+    }
+
+    #[test]
+    fn inverted_and_flat_gradients_give_finite_stress_or_are_degenerate() {
+        let mut rng = Rng::new(8);
+        let corotated = Law { law: FIXED_COROTATED, shear: 3e3f32, bulk: 1e4, yield_stress: 0.0, viscosity: 1.0, exponent: 1.0 };
+        for _ in 0..300 {
+            let any: Mat3<f64> = std::array::from_fn(|_| std::array::from_fn(|_| rng.range(-1.0, 1.0)));
+            let d = svd::svd(any);
+            let f = d.with_values([rng.range(0.0, 3.0), rng.range(0.0, 3.0), rng.range(-2.0, 0.0)]);
+            let (_, t) = material_point(&corotated, mat3::cast(mat3::sub(f, mat3::identity())), 1e-4);
+            let want = stress(&wide(&corotated), f);
+            let error = mat3::norm(mat3::sub(mat3::cast::<f32, f64>(t), want));
+            assert!(error <= 1e-4 * mat3::norm(want).max(1e3), "{f:?}: {t:?} instead of {want:?}");
+        }
+    }
 }

@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::collider::Collider;
 use crate::grid::Grid;
 use crate::particles::Particles;
+pub use constitutive::material_point;
 use nodes::{GridStep, Nodes};
 use pass::{Outcome, Sweep, sweep};
 pub use time_step::TimeStep;
@@ -367,3 +368,6 @@ fn push_normals_forward(p: &mut Particles) {
         *n = vec3::normalize_or(v, vec3::normalize_or(*n, [0.0; 3]));
     });
 }
+
+#[cfg(test)]
+mod tests;

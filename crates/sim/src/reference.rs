@@ -1,0 +1,162 @@
+//! The slow, obvious MLS-MPM step (simulation.md §2, §5.2): one point, one node, one law at a time, in any precision.
+//! The oracle of the fast kernels, and the double-precision instance of the physics suite.
+
+use megas_math::{Mat3, Real, Vec3, bspline, mat3, svd, vec3};
+
+use crate::grid::Grid;
+use crate::particles::{FIXED_COROTATED, FLUID};
+
+/// One material point.
+#[derive(Clone, Copy, Debug)]
+pub struct Point<T> {
+    /// Position in node units.
+    pub xi: Vec3<T>,
+    /// Velocity \[m/s\].
+    pub velocity: Vec3<T>,
+    /// Affine velocity matrix \[1/s\].
+    pub affine: Mat3<T>,
+    /// Deformation gradient.
+    pub elastic: Mat3<T>,
+    /// Mass \[kg\].
+    pub mass: T,
+    /// Reference volume \[m³\].
+    pub volume: T,
+}
+
+/// A law with its parameters (units as in [`crate::particles::Particles`]).
+#[derive(Clone, Copy, Debug)]
+pub struct Law<T> {
+    /// One of the tags of [`crate::particles`].
+    pub law: u8,
+    /// μ.
+    pub shear: T,
+    /// K.
+    pub bulk: T,
+    /// σ_Y.
+    pub yield_stress: T,
+    /// η.
+    pub viscosity: T,
+    /// h.
+    pub exponent: T,
+}
+
+/// Masses and momenta (or velocities) of all nodes, indexed as [`Grid::index`].
+#[derive(Clone, Debug)]
+pub struct Nodes<T> {
+    /// Mass \[kg\].
+    pub mass: Vec<T>,
+    /// Momentum \[kg·m/s\], or velocity \[m/s\] after the grid update.
+    pub motion: Vec<Vec3<T>>,
+}
+
+/// Calls `f(node index, weight, distance from the point [m])` for the 27 nodes around a point.
+pub fn stencil<T: Real>(grid: &Grid, xi: Vec3<T>, mut f: impl FnMut(usize, T, Vec3<T>)) {
+    let parts = xi.map(bspline::base_and_fraction);
+    let w = parts.map(|p| bspline::weights(p.1));
+    let dx = T::of(grid.spacing);
+    for i in 0..3 {
+        for j in 0..3 {
+            for k in 0..3 {
+                let offset = [i, j, k];
+                let node: [usize; 3] = std::array::from_fn(|a| parts[a].0 as usize + offset[a]);
+                let d = std::array::from_fn(|a| (T::of(offset[a] as f64) - parts[a].1) * dx);
+                f(grid.index(node[0], node[1], node[2]), w[0][i] * w[1][j] * w[2][k], d);
+            }
+        }
+    }
+}
+
+/// P2G with the stress that `stress` gives each point.
+pub fn p2g<T: Real>(grid: &Grid, points: &[Point<T>], dt: T, stress: impl Fn(usize) -> Mat3<T>) -> Nodes<T> {
+    let mut nodes = Nodes { mass: vec![T::zero(); grid.len()], motion: vec![[T::zero(); 3]; grid.len()] };
+    let d = T::of(4.0 / (grid.spacing * grid.spacing));
+    for (p, point) in points.iter().enumerate() {
+        let a = mat3::add(mat3::scale(stress(p), -dt * point.volume * d), mat3::scale(point.affine, point.mass));
+        let mv = vec3::scale(point.velocity, point.mass);
+        stencil(grid, point.xi, |node, w, d| {
+            nodes.mass[node] += w * point.mass;
+            nodes.motion[node] = vec3::add_scaled(nodes.motion[node], vec3::add(mv, mat3::mul_vec(a, d)), w);
+        });
+    }
+    nodes
+}
+
+/// Momenta to velocities, plus `dt · gravity`.
+pub fn update<T: Real>(nodes: &mut Nodes<T>, dt: T, gravity: Vec3<T>) {
+    for (m, v) in nodes.mass.iter().zip(&mut nodes.motion) {
+        if *m > T::zero() {
+            *v = vec3::add_scaled(vec3::scale(*v, m.recip()), gravity, dt);
+        }
+    }
+}
+
+/// Velocity and affine matrix at a position.
+pub fn g2p<T: Real>(grid: &Grid, nodes: &Nodes<T>, xi: Vec3<T>) -> (Vec3<T>, Mat3<T>) {
+    let mut v = [T::zero(); 3];
+    let mut c = [[T::zero(); 3]; 3];
+    let scale = T::of(4.0 / (grid.spacing * grid.spacing));
+    stencil(grid, xi, |node, w, d| {
+        v = vec3::add_scaled(v, nodes.motion[node], w);
+        c = mat3::add(c, mat3::scale(mat3::outer(nodes.motion[node], d), w * scale));
+    });
+    (v, c)
+}
+
+/// Kirchhoff stress of `f`.
+pub fn stress<T: Real>(law: &Law<T>, f: Mat3<T>) -> Mat3<T> {
+    let lambda = law.bulk - T::of(2.0 / 3.0) * law.shear;
+    let two = T::of(2.0);
+    if law.law == FLUID {
+        let j = f[0][0];
+        return mat3::scale(mat3::identity(), law.bulk * (j - T::one()) * j);
+    }
+    let d = svd::svd(f);
+    let tau = if law.law == FIXED_COROTATED {
+        let j = d.s[0] * d.s[1] * d.s[2];
+        d.s.map(|s| two * law.shear * (s * s - s) + lambda * (j - T::one()) * j)
+    } else {
+        let log = d.s.map(|s| s.max(T::of(0.05)).ln());
+        let trace = log[0] + log[1] + log[2];
+        log.map(|e| two * law.shear * e + lambda * trace)
+    };
+    mat3::congruence(d.u, mat3::diag(tau))
+}
+
+/// The gradient after plastic flow during `dt`, and the increment of plastic strain.
+pub fn return_map<T: Real>(law: &Law<T>, f: Mat3<T>, dt: T) -> (Mat3<T>, T) {
+    if law.law == FIXED_COROTATED || law.law == FLUID {
+        return (f, T::zero());
+    }
+    let two = T::of(2.0);
+    let root = T::of(2.0 / 3.0).sqrt();
+    let d = svd::svd(f);
+    let log = d.s.map(|s| s.max(T::of(0.05)).ln());
+    let mean = (log[0] + log[1] + log[2]) / T::of(3.0);
+    let e = log.map(|v| v - mean);
+    let trial = two * law.shear * vec3::norm(e);
+    let over = trial - root * law.yield_stress;
+    if over <= T::zero() || over.is_nan() {
+        return (f, T::zero());
+    }
+    let y = excess(law, over, two * law.shear * dt);
+    let ratio = (root * law.yield_stress + y) / trial;
+    let new = e.map(|v| (v * ratio + mean).exp());
+    (d.with_values(new), root * vec3::norm(e) * (T::one() - ratio))
+}
+
+/// Solves `y + k (y/η)^{1/h} = over` by bisection.
+fn excess<T: Real>(law: &Law<T>, over: T, k: T) -> T {
+    if law.viscosity == T::zero() {
+        return T::zero();
+    }
+    let (mut lo, mut hi) = (T::zero(), over);
+    for _ in 0..200 {
+        let y = (lo + hi) / T::of(2.0);
+        if y + k * (y / law.viscosity).powf(law.exponent.recip()) > over {
+            hi = y;
+        } else {
+            lo = y;
+        }
+    }
+    (lo + hi) / T::of(2.0)
+}
