@@ -45,8 +45,13 @@ impl Default for Rasterizer {
 impl Rasterizer {
     /// A rasterizer for this machine's best instruction set.
     pub fn new() -> Self {
+        Self::with_level(Level::new())
+    }
+
+    /// A rasterizer that uses no more than the given instruction set. Images of different sets differ by rounding.
+    pub fn with_level(level: Level) -> Self {
         Self {
-            level: Level::new(),
+            level,
             chunks: Vec::new(),
             sorter: Sorter::default(),
             records: Vec::new(),
