@@ -2,7 +2,7 @@
 //! (simulation.md §5.4–5.6).
 
 use megas_math::mat3::{self, Mat3};
-use megas_math::svd;
+use megas_math::{Real, svd};
 use serde::{Deserialize, Serialize};
 
 use crate::material::{Material, PhaseMode};
@@ -246,11 +246,11 @@ impl PhaseRule {
 ///
 /// Returns the new F and `B = F_after⁻¹ F_before`, by which the rebase matrix of the point is to be multiplied from the left
 /// so that the shape seen by the splats does not jump: `F_after · B = F_before` (§5.6, §7.5).
-pub fn scale_deviator(f: Mat3<f32>, factor: f32) -> (Mat3<f32>, Mat3<f32>) {
-    let d = svd::svd(mat3::cast::<f32, f64>(f));
+pub fn scale_deviator<T: Real>(f: Mat3<T>, factor: T) -> (Mat3<T>, Mat3<T>) {
+    let d = svd::svd(mat3::cast::<T, f64>(f));
     let strain = d.s.map(|s| s.max(0.05).ln());
     let mean = (strain[0] + strain[1] + strain[2]) / 3.0;
-    let removed = strain.map(|e| (e - mean) * (1.0 - f64::from(factor)));
+    let removed = strain.map(|e| (e - mean) * (1.0 - factor.f64()));
     let after: [f64; 3] = std::array::from_fn(|a| (strain[a] - removed[a]).exp());
     let b = mat3::mul(mat3::mul(d.v, mat3::diag(removed.map(f64::exp))), mat3::transpose(d.v));
     (mat3::cast(d.with_values(after)), mat3::cast(b))

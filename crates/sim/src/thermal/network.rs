@@ -13,6 +13,17 @@ const ABSENT: u32 = u32::MAX;
 /// Nodes per parallel work item.
 const CHUNK: usize = 1024;
 
+/// Filled fraction from which a node conducts like a full one. Points are never spread so evenly that φ is one everywhere;
+/// a plain minimum of two fluctuating values would cost 2 % of the conductivity, and the first cell behind a wall (φ = 5/6)
+/// would insulate like a quarter of a cell.
+const FULL: f64 = 0.8;
+
+/// Conducting cross-section of a link whose emptier end is filled to `phi`.
+#[inline(always)]
+fn section(phi: f64) -> f64 {
+    (phi * (1.0 / FULL)).min(1.0)
+}
+
 /// What the network needs to know of one material.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Medium {
@@ -122,6 +133,17 @@ struct WallLink {
     t: f64,
 }
 
+/// A node inside a wall of fixed temperature with material of a body that touches the wall. Its temperature mirrors that of
+/// the free neighbours about the wall's face, so that the face itself, not the node, is at the wall's temperature.
+#[derive(Clone, Copy, Debug)]
+struct Pinned {
+    slot: u32,
+    t: f64,
+    /// Slots of the free neighbours.
+    free: [u32; 6],
+    count: u32,
+}
+
 /// Compact arrays over the nodes that hold material, in memory order of the grid.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Network {
@@ -145,8 +167,8 @@ pub(crate) struct Network {
     /// Conductance of each link \[W/K\].
     links: Vec<[f64; 6]>,
     walls: Vec<WallLink>,
-    /// Nodes inside a wall of fixed temperature, and that temperature.
-    pinned: Vec<(u32, f64)>,
+    /// Nodes inside a wall of fixed temperature that hold the rim of a body.
+    pinned: Vec<Pinned>,
 }
 
 impl Network {
@@ -249,7 +271,7 @@ impl Network {
         }
         // Harmonic mean over the filled cross-section: nodes at the rim neither insulate nor become stiff.
         let (a, b) = (self.k[s], self.k[o]);
-        let filled = self.phi[s].min(self.phi[o]).min(1.0);
+        let filled = section(self.phi[s].min(self.phi[o]));
         Some((o as u32, spacing * filled * (2.0 * a * b) / (a + b)))
     }
 
@@ -257,14 +279,25 @@ impl Network {
     fn join_walls(&mut self, lattice: &Lattice, spacing: f64, walls: &[Wall]) {
         for s in 0..self.len() {
             if let Some(t) = walls[self.dense[s] as usize].fixed() {
-                self.pinned.push((s as u32, t));
+                let mut pinned = Pinned { slot: s as u32, t, free: [0; 6], count: 0 };
+                for l in 0..6 {
+                    let n = lattice.neighbour(self.node(s), l / 2, l % 2 == 1).map(|n| self.index(n));
+                    if let Some(n) = n
+                        && walls[n].fixed().is_none()
+                        && let Some(o) = self.slot_of_index(n)
+                    {
+                        pinned.free[pinned.count as usize] = o as u32;
+                        pinned.count += 1;
+                    }
+                }
+                self.pinned.push(pinned);
                 continue;
             }
             let node = self.node(s);
             for l in 0..6 {
                 let Some(n) = lattice.neighbour(node, l / 2, l % 2 == 1) else { continue };
                 if let Some(t) = walls[self.index(n)].fixed() {
-                    let conductance = 2.0 * self.k[s] * spacing * self.phi[s].min(1.0);
+                    let conductance = 2.0 * self.k[s] * spacing * section(self.phi[s]);
                     self.walls.push(WallLink { slot: s as u32, conductance, t });
                 }
             }
@@ -313,9 +346,12 @@ impl Network {
             }
             *e += dt * q;
         });
-        for &(s, wall) in pinned.iter() {
-            let s = s as usize;
-            let held = mix.energy(media, kind[s], mass[s], wall);
+        for p in pinned.iter() {
+            let s = p.slot as usize;
+            let free = &p.free[..p.count as usize];
+            let around = free.iter().map(|o| t[*o as usize]).sum::<f64>() / f64::from(p.count.max(1));
+            let mirrored = if free.is_empty() { p.t } else { 2.0 * p.t - around };
+            let held = mix.energy(media, kind[s], mass[s], mirrored);
             from_walls += held - e[s];
             e[s] = held;
         }
