@@ -10,6 +10,8 @@
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*, u32x16};
 
+use megas_model::{Camera, Projection};
+
 use crate::bin::Lists;
 use crate::project::{Extra, Record};
 
@@ -127,9 +129,41 @@ pub(crate) fn composite<C: Set, const N: usize>(
     dispatch!(scene.level, simd => composite_simd::<_, C, N>(simd, scene, place, planes, rays, tallies));
 }
 
+/// Reversed unit viewing rays of a block, world axes.
+pub(crate) fn rays(level: Level, camera: &Camera, place: Place) -> [Plane; 3] {
+    dispatch!(level, _simd => rays_inline(camera, place))
+}
+
+#[inline(always)]
+fn rays_inline(camera: &Camera, place: Place) -> [Plane; 3] {
+    let mut rays = [Plane::default(); 3];
+    let [ax, ay, az] = camera.rotation;
+    for brick in 0..16 {
+        let mut direction = [[0.0f32; 16]; 3];
+        for lane in 0..16 {
+            let [x, y] = pixel_of(brick, lane);
+            let [u, v] = match camera.projection {
+                Projection::Pinhole { fx, fy } => {
+                    let (x, y) = ((place.x + x) as f32 + 0.5, (place.y + y) as f32 + 0.5);
+                    [(x - camera.cx) / fx, (y - camera.cy) / fy]
+                }
+                Projection::Orthographic { .. } => [0.0; 2],
+            };
+            let scale = -(u * u + v * v + 1.0).sqrt().recip();
+            for a in 0..3 {
+                direction[a][lane] = (ax[a] * u + ay[a] * v + az[a]) * scale;
+            }
+        }
+        for a in 0..3 {
+            rays[a].0[brick] = direction[a];
+        }
+    }
+    rays
+}
+
 /// Column and row of a pixel within its block.
 #[inline(always)]
-pub(crate) fn pixel_of(brick: usize, lane: usize) -> [usize; 2] {
+fn pixel_of(brick: usize, lane: usize) -> [usize; 2] {
     [brick % 4 * 4 + lane % 4, brick / 4 * 4 + lane / 4]
 }
 

@@ -1,7 +1,6 @@
 //! The stages of a render in order, and the memory that they share.
 
 use fearless_simd::Level;
-use megas_math::vec3;
 use megas_model::Camera;
 use rayon::prelude::*;
 
@@ -34,6 +33,8 @@ pub struct Rasterizer {
     lists: Vec<Lists>,
     planes: Vec<Plane>,
     tallies: Vec<Vec<Tally>>,
+    starts: Vec<u32>,
+    sums: Vec<Sum>,
 }
 
 impl Default for Rasterizer {
@@ -60,6 +61,8 @@ impl Rasterizer {
             lists: Vec::new(),
             planes: Vec::new(),
             tallies: Vec::new(),
+            starts: Vec::new(),
+            sums: Vec::new(),
         }
     }
 
@@ -169,7 +172,7 @@ impl Rasterizer {
                 for (b, block) in planes.as_chunks_mut::<N>().0.iter_mut().enumerate() {
                     let place = Place { x: x + b % across * edge, y: y + b / across * edge, edge, tile: index };
                     if C::STATISTICS {
-                        kernel::composite::<C, N>(&scene, place, block, &rays(camera, place), tallies);
+                        kernel::composite::<C, N>(&scene, place, block, &kernel::rays(self.level, camera, place), tallies);
                         count_winners(block, C::WINNER, tallies);
                     } else {
                         kernel::composite::<C, N>(&scene, place, block, &NO_RAYS, tallies);
@@ -207,30 +210,56 @@ impl Rasterizer {
         let tiles = view.tiles[0] * view.tiles[1];
         let range = self.range();
         let (lists, tallies) = (&self.lists, &self.tallies);
-        let mut sums: Vec<(Tally, [f64; 4])> = vec![(Tally::default(), [0.0; 4]); self.records.len()];
-        sums.par_chunks_mut(range).enumerate().for_each(|(c, sums)| {
+        // Where each range's part of each tile's tallies starts.
+        self.starts.clear();
+        self.starts.resize(lists.len() * tiles, 0);
+        for c in 1..lists.len() {
+            let (before, here) = self.starts[(c - 1) * tiles..(c + 1) * tiles].split_at_mut(tiles);
             for tile in 0..tiles {
-                let before: usize = lists[..c].iter().map(|l| l.of(tile).len()).sum();
-                let here = lists[c].of(tile).len();
-                for t in &tallies[tile][before..before + here] {
-                    let (s, f) = &mut sums[t.rank as usize - c * range];
-                    s.w_max = s.w_max.max(t.w_max);
-                    s.pixels += t.pixels;
-                    s.argmax_pixels += t.argmax_pixels;
-                    f[0] += f64::from(t.w_sum);
-                    for a in 0..3 {
-                        f[1 + a] += f64::from(t.vote[a]);
-                    }
+                here[tile] = before[tile] + lists[c - 1].of(tile).len() as u32;
+            }
+        }
+        self.sums.clear();
+        self.sums.resize(self.records.len(), Sum::default());
+        let jobs = self.sums.par_chunks_mut(range).zip(self.starts.par_chunks(tiles)).enumerate();
+        jobs.for_each(|(c, (sums, starts))| {
+            for tile in 0..tiles {
+                let (start, count) = (starts[tile] as usize, lists[c].of(tile).len());
+                for t in &tallies[tile][start..start + count] {
+                    sums[t.rank as usize - c * range].add(t);
                 }
             }
         });
-        for (r, (s, f)) in self.records.iter().zip(&sums) {
+        for (r, s) in self.records.iter().zip(&self.sums) {
             let i = r.index as usize;
             statistics.w_max[i] = s.w_max;
             statistics.pixels[i] = s.pixels;
             statistics.argmax_pixels[i] = s.argmax_pixels;
-            statistics.w_sum[i] = f[0] as f32;
-            statistics.votes[i] = [f[1] as f32, f[2] as f32, f[3] as f32];
+            statistics.w_sum[i] = s.w_sum as f32;
+            statistics.votes[i] = [s.vote[0] as f32, s.vote[1] as f32, s.vote[2] as f32];
+        }
+    }
+}
+
+/// The tallies of one Gaussian over all tiles.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sum {
+    w_sum: f64,
+    vote: [f64; 3],
+    w_max: f32,
+    pixels: u32,
+    argmax_pixels: u32,
+}
+
+impl Sum {
+    #[inline(always)]
+    fn add(&mut self, t: &Tally) {
+        self.w_max = self.w_max.max(t.w_max);
+        self.pixels += t.pixels;
+        self.argmax_pixels += t.argmax_pixels;
+        self.w_sum += f64::from(t.w_sum);
+        for a in 0..3 {
+            self.vote[a] += f64::from(t.vote[a]);
         }
     }
 }
@@ -250,20 +279,4 @@ fn count_winners<const N: usize>(block: &[Plane; N], winner: Option<usize>, tall
             t.argmax_pixels += 1;
         }
     }
-}
-
-/// Reversed unit viewing rays of a block, world axes.
-fn rays(camera: &Camera, place: Place) -> [Plane; 3] {
-    let mut rays = [Plane::default(); 3];
-    for brick in 0..16 {
-        for lane in 0..16 {
-            let [x, y] = kernel::pixel_of(brick, lane);
-            let (_, d) = camera.ray((place.x + x) as f32 + 0.5, (place.y + y) as f32 + 0.5);
-            let d = vec3::scale(d, -1.0);
-            for a in 0..3 {
-                rays[a].0[brick][lane] = d[a];
-            }
-        }
-    }
-    rays
 }
