@@ -2,7 +2,11 @@
 
 use std::collections::HashMap;
 
-use megas_math::{Vec3, rng::Rng, rng::mix, vec3};
+use megas_math::{
+    Vec3,
+    rng::{Rng, hash01, mix},
+    vec3,
+};
 use rayon::prelude::*;
 
 use super::solid::Solid;
@@ -16,45 +20,88 @@ pub struct SurfacePoint {
     pub normal: Vec3<f32>,
 }
 
-/// Candidates per accepted point: more fill the last gaps, fewer are faster. Gaps stay below about 1.3 spacings.
-const ROUNDS: usize = 10;
+/// Random candidates per cell; the gaps that remain are filled around the kept points.
+const ROUNDS: usize = 4;
+/// Candidates on the circle around every kept point, and how often newly kept ones get their own.
+const AROUND: usize = 24;
+const PASSES: usize = 3;
 
 /// Throws random candidates onto the zero level of `solid` and keeps those at least `spacing` (> 0, scene units) from every
-/// earlier one. The order is random, so any prefix is spread over the whole surface; it depends on the arguments alone.
+/// earlier one; then tries the circles around the kept points until hardly a gap for another one is left. The result
+/// depends on the arguments alone.
 pub fn blue_noise(solid: &impl Solid, spacing: f32, seed: u64) -> Vec<SurfacePoint> {
     let cells = surface_cells(solid, spacing);
-    let mut grid = Grid { inv: 1.0 / spacing, cells: HashMap::with_capacity_and_hasher(cells.len(), Default::default()) };
-    let mut kept: Vec<Vec3<f32>> = Vec::new();
+    let mut net = Net { grid: Grid::new(spacing, cells.len()), kept: Vec::new(), spacing };
     for round in 0..ROUNDS {
         let candidates: Vec<Option<Vec3<f32>>> = cells
             .par_iter()
             .enumerate()
             .map(|(i, &lo)| {
                 let mut rng = Rng::new(mix(seed) ^ mix((i * ROUNDS + round) as u64));
-                let x = lo.map(|v| v + rng.unit() as f32 * spacing);
-                // The projection of x lies |d| away, and |d| is at most the distance e of a kept point: if e is below half of
-                // the spacing the projection must collide. With |d| known the test gets sharper.
-                if !grid.free(x, 0.48 * spacing, &kept) {
-                    return None;
-                }
-                let d = solid.sdf(x);
-                let hopeless = d.abs() > 0.8 * spacing || !grid.free(x, spacing - 1.3 * d.abs(), &kept);
-                if hopeless { None } else { project(solid, x, d, spacing) }
+                net.candidate(solid, lo.map(|v| v + rng.unit() as f32 * spacing))
             })
             .collect();
         // Random order, or the first round would advance as a front and leave its pattern behind.
         let mut order: Vec<u32> = (0..candidates.len() as u32).filter(|&i| candidates[i as usize].is_some()).collect();
         order.sort_unstable_by_key(|&i| (mix(seed ^ mix(u64::from(i) + ((round as u64) << 40))), i));
-        for i in order {
-            if let Some(x) = candidates[i as usize]
-                && grid.free(x, spacing, &kept)
-            {
-                grid.insert(x, kept.len() as u32);
-                kept.push(x);
-            }
+        order.iter().filter_map(|&i| candidates[i as usize]).for_each(|x| net.offer(x));
+    }
+    let mut points: Vec<SurfacePoint> = Vec::new();
+    for _ in 0..PASSES {
+        let first = points.len();
+        points.par_extend(net.kept[first..].par_iter().map(|&position| SurfacePoint { position, normal: solid.normal(position) }));
+        let around: Vec<Vec3<f32>> = points[first..]
+            .par_iter()
+            .enumerate()
+            .flat_map_iter(|(i, p)| {
+                let (a, b) = vec3::frame_from_normal(p.normal);
+                let turn = hash01(seed, (first + i) as u64, 77) as f32;
+                let net = &net;
+                (0..AROUND).filter_map(move |k| {
+                    let (s, c) = ((k as f32 + turn) * (std::f32::consts::TAU / AROUND as f32)).sin_cos();
+                    let r = 1.02 * spacing;
+                    let x = vec3::add_scaled(vec3::add_scaled(p.position, a, c * r), b, s * r);
+                    // Off the curved surface a little, so with some slack; most candidates end here without asking the body.
+                    if net.grid.free(x, 0.93 * spacing, &net.kept) { net.candidate(solid, x) } else { None }
+                })
+            })
+            .collect();
+        around.iter().for_each(|&x| net.offer(x));
+    }
+    let first = points.len();
+    points.par_extend(net.kept[first..].par_iter().map(|&position| SurfacePoint { position, normal: solid.normal(position) }));
+    points
+}
+
+/// The points kept so far.
+struct Net {
+    grid: Grid,
+    kept: Vec<Vec3<f32>>,
+    spacing: f32,
+}
+
+impl Net {
+    /// The surface point near `x`, unless it is sure to collide with a kept one.
+    fn candidate(&self, solid: &impl Solid, x: Vec3<f32>) -> Option<Vec3<f32>> {
+        // The projection of x lies |d| away, and |d| is at most the distance e of a kept point: if e is below half of the
+        // spacing the projection must collide. With |d| known the test gets sharper.
+        if !self.grid.free(x, 0.48 * self.spacing, &self.kept) {
+            return None;
+        }
+        let d = solid.sdf(x);
+        if d.abs() > 0.8 * self.spacing || !self.grid.free(x, self.spacing - 1.3 * d.abs(), &self.kept) {
+            return None;
+        }
+        project(solid, x, d, self.spacing)
+    }
+
+    /// Keeps `x` if nothing is too close.
+    fn offer(&mut self, x: Vec3<f32>) {
+        if self.grid.free(x, self.spacing, &self.kept) {
+            self.grid.insert(x, self.kept.len() as u32);
+            self.kept.push(x);
         }
     }
-    kept.par_iter().map(|&position| SurfacePoint { position, normal: solid.normal(position) }).collect()
 }
 
 /// Lower corners of the cells of side `h` that the surface crosses, found from coarse to fine by halving.
@@ -110,6 +157,33 @@ fn project(solid: &impl Solid, x: Vec3<f32>, distance: f32, spacing: f32) -> Opt
     (d.abs() < 1e-2 * spacing).then(|| vec3::add_scaled(x, n, t))
 }
 
+/// For every point the numbers of the others within `reach`, in ascending order.
+pub(super) fn neighbours(points: &[SurfacePoint], reach: f32) -> Vec<Vec<u32>> {
+    let key = |x: Vec3<f32>| x.map(|v| (v / reach).floor() as i32);
+    let mut sorted: Vec<(u64, u32)> = points.par_iter().enumerate().map(|(i, p)| (Grid::key(key(p.position)), i as u32)).collect();
+    sorted.par_sort_unstable();
+    points
+        .par_iter()
+        .enumerate()
+        .map(|(i, p)| {
+            let [a, b, c] = key(p.position);
+            let mut out = Vec::new();
+            for k in 0..27 {
+                let cell = Grid::key([a + k % 3 - 1, b + k / 3 % 3 - 1, c + k / 9 - 1]);
+                let start = sorted.partition_point(|&(key, _)| key < cell);
+                for &(_, j) in sorted[start..].iter().take_while(|&&(key, _)| key == cell) {
+                    let e = vec3::sub(points[j as usize].position, p.position);
+                    if j as usize != i && vec3::dot(e, e) < reach * reach {
+                        out.push(j);
+                    }
+                }
+            }
+            out.sort_unstable();
+            out
+        })
+        .collect()
+}
+
 /// Accepted points by cell of side `spacing`. A cell holds few of them: at most 8 fit.
 struct Grid {
     inv: f32,
@@ -117,6 +191,10 @@ struct Grid {
 }
 
 impl Grid {
+    fn new(spacing: f32, capacity: usize) -> Self {
+        Self { inv: 1.0 / spacing, cells: HashMap::with_capacity_and_hasher(capacity, Default::default()) }
+    }
+
     fn cell(&self, x: Vec3<f32>) -> [i32; 3] {
         x.map(|v| (v * self.inv).floor() as i32)
     }

@@ -200,24 +200,20 @@ impl Light {
         out.map(to_display)
     }
 
-    /// Light mirrored by a clear coat: the lamps as a soft box, the sky as a gradient, Fresnel by Schlick.
+    /// Light mirrored by a clear coat. The sharp image of the lamps is painted on: it is the one that a viewer in front of the
+    /// point at eye level sees, because harmonics of low degree cannot hold it. The broad sheen follows the viewer.
     fn reflection(&self, lit: &Received, n: Vec3<f32>, d: Vec3<f32>) -> [f32; 3] {
-        let cosine = -vec3::dot(n, d);
-        if cosine <= 0.0 {
-            return [0.0; 3];
-        }
-        let m = vec3::add_scaled(d, n, 2.0 * cosine);
-        let fresnel = 0.045 + 0.955 * (1.0 - cosine).powi(5) * 0.6;
+        let viewer = vec3::normalize_or([n[0], n[1], 0.30 + 0.5 * n[2].max(0.0)], [0.0, 0.0, 1.0]);
+        let mirror = |v: Vec3<f32>| vec3::add_scaled(vec3::scale(v, -1.0), n, 2.0 * vec3::dot(n, v));
+        let (lamp, moving) = (mirror(viewer), mirror(vec3::scale(d, -1.0)));
+        let cosine = (-vec3::dot(n, d)).clamp(0.0, 1.0);
+        let fresnel = 0.04 + 0.30 * (1.0 - cosine).powi(4);
         let mut s = [0.0; 3];
         for (k, (r, &v)) in self.rays.iter().zip(&lit.visible).enumerate() {
-            let a = vec3::dot(m, r.direction);
-            if a <= 0.0 {
-                continue;
-            }
-            let (power, gain) = if k < KEY_RAYS + RIM_RAYS { (90.0, 14.0) } else { (6.0, 1.1) };
-            let lobe = a.powf(power) * gain * v;
+            let broad = vec3::dot(moving, r.direction).max(0.0).powi(5) * 0.8 * fresnel;
+            let sharp = if k < KEY_RAYS + RIM_RAYS { 0.85 * vec3::dot(lamp, r.direction).max(0.0).powi(70) } else { 0.0 };
             for c in 0..3 {
-                s[c] += fresnel * lobe * r.radiance[c];
+                s[c] += (broad + sharp) * v * r.radiance[c];
             }
         }
         s

@@ -71,11 +71,22 @@ pub(super) fn trace(solid: &impl Solid, o: Vec3<f32>, d: Vec3<f32>) -> Option<f3
     if t > end {
         return None;
     }
+    let mut before = t;
     for _ in 0..MAX_STEPS {
         let dist = solid.sdf(vec3::add_scaled(o, d, t));
-        if dist < 1.5e-4 * t.max(0.1) {
+        if dist < 0.0 {
+            // Steep relief let a step go through: the surface lies between the last two places.
+            let (mut outside, mut inside) = (before, t);
+            for _ in 0..10 {
+                let middle = 0.5 * (outside + inside);
+                if solid.sdf(vec3::add_scaled(o, d, middle)) < 0.0 { inside = middle } else { outside = middle }
+            }
+            return Some(inside);
+        }
+        if dist < 1e-4 * t.max(0.1) {
             return Some(t);
         }
+        before = t;
         t += dist * STEP;
         if t > end {
             return None;

@@ -296,8 +296,9 @@ fn scoop(x: Vec3<f32>, k: usize, limit: f32) -> f32 {
     let p = vec3::sub(x, SCOOPS[k]);
     let seed = k as f32;
     let r = vec3::norm(p);
-    let far = r - (SCOOP_RADIUS + 0.09);
-    if far > 0.3 || far > limit {
+    // The skirt reaches farthest.
+    let far = r - (SCOOP_RADIUS + 0.15);
+    if far > 0.2 || far > limit {
         return far;
     }
     let rho = (p[0] * p[0] + p[1] * p[1]).sqrt();
@@ -316,10 +317,9 @@ fn scoop(x: Vec3<f32>, k: usize, limit: f32) -> f32 {
     let foot = smoothstep(0.05, -0.22, p[2]);
     let furrow = noise_at([drag[0] * 0.22, drag[1] * 0.22, drag[2] + 0.1 * warp], 21.0, 6.0 + seed);
     let lumps = noise_at(p, 5.5, 7.0 + seed);
-    let grain = noise_at(p, 24.0, 8.0 + seed);
-    let fine = noise_at(p, 52.0, 9.0 + seed);
-    let pits = smoothstep(0.22, 0.55, noise_at(p, 15.0, 10.0 + seed));
-    let amount = 0.012 * lumps + (0.008 + 0.012 * foot) * furrow + (0.004 + 0.010 * foot) * grain + 0.0028 * fine - 0.012 * pits;
+    let grain = noise_at(p, 26.0, 8.0 + seed);
+    let pits = smoothstep(0.22, 0.55, noise_at(p, 13.0, 10.0 + seed));
+    let amount = 0.012 * lumps + (0.008 + 0.012 * foot) * furrow + (0.004 + 0.010 * foot) * grain - 0.012 * pits;
     base - near * amount
 }
 
