@@ -55,7 +55,8 @@ pub struct Heat {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -1e9, max = 1e9))]
     pub flux_w_m2: Option<f64>,
-    /// Film coefficient in W/(m²·K) for the kind film, or "auto" (natural convection around the object). Room air 5–12, hair dryer 50, water 500.
+    /// Film coefficient in W/(m²·K) for the kind film, or "auto" (natural convection around the object). Room air 5–12, hair
+    /// dryer 50, water 500.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub film_coefficient_w_m2k: Option<Auto>,
     /// Emissivity for the kind radiation, 0–1; default 0.9.

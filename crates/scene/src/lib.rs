@@ -7,9 +7,9 @@
 //! assert_eq!(scene.quality, megas_scene::Quality::Default);
 //! ```
 //!
-//! The data's way: text → [`Scene::parse`] checks it against the [`json_schema`] (unknown keys, types, ranges, all reported at once with line and
-//! column), reads it into [`Scene`], then checks what no schema can say (references, exclusive keys, materials). Materials leave as
-//! [`ResolvedMaterial`] in SI units; regions and positions leave through a [`Placement`].
+//! The data's way: text → [`Scene::parse`] checks it against the [`json_schema`] (unknown keys, types, ranges, all reported
+//! at once with line and column), reads it into [`Scene`], then checks what no schema can say (references, exclusive keys,
+//! materials). Materials leave as [`ResolvedMaterial`] in SI units; regions and positions leave through a [`Placement`].
 
 mod camera;
 mod check;

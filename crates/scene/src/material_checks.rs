@@ -73,7 +73,8 @@ impl ResolvedMaterial {
             messages.push((
                 Severity::Error,
                 format!(
-                    "{name}: too stiff: {per_coupling} substeps per coupling step (at most {MAX_SUBSTEPS}); lower youngs_modulus_pa or use sag_ratio"
+                    "{name}: too stiff: {per_coupling} substeps per coupling step (at most {MAX_SUBSTEPS}); \
+                     lower youngs_modulus_pa or use sag_ratio"
                 ),
             ));
         }
@@ -93,14 +94,15 @@ impl ResolvedMaterial {
         let name = &self.name;
         if yield_number > 0.5 {
             let text = format!(
-                "{name}: the melt will not slump: its yield stress {} Pa carries the weight of {:.3} m of it (yield number {yield_number:.2} > 0.5); \
-                 lower melt_yield_stress_pa or make the object larger",
+                "{name}: the melt will not slump: its yield stress {} Pa carries the weight of {:.3} m of it \
+                 (yield number {yield_number:.2} > 0.5); lower melt_yield_stress_pa or make the object larger",
                 self.melt_yield_stress, limits.object_height_m
             );
             messages.push((Severity::Warning, text));
         } else if yield_number < 0.005 {
             let text = format!(
-                "{name}: the melt spreads like water (yield number {yield_number:.4} < 0.005); raise melt_yield_stress_pa to keep some shape"
+                "{name}: the melt spreads like water (yield number {yield_number:.4} < 0.005); \
+                 raise melt_yield_stress_pa to keep some shape"
             );
             messages.push((Severity::Note, text));
         }
@@ -110,8 +112,8 @@ impl ResolvedMaterial {
         let stress = std::f64::consts::SQRT_2 * (self.melt_yield_stress + self.melt_consistency * rate.powf(self.melt_flow_index));
         if self.melt_shear_modulus < 10.0 * stress {
             let text = format!(
-                "{name}: the melt's shear modulus {:.3e} Pa is below 10 × its flow stress {stress:.3e} Pa: it will look rubbery and flow too easily; \
-                 stiffen it (smaller sag_ratio) or thin the melt (melt_consistency_pa_sn)",
+                "{name}: the melt's shear modulus {:.3e} Pa is below 10 × its flow stress {stress:.3e} Pa: it will look rubbery and \
+                 flow too easily; stiffen it (smaller sag_ratio) or thin the melt (melt_consistency_pa_sn)",
                 self.melt_shear_modulus
             );
             messages.push((Severity::Warning, text));

@@ -1,5 +1,5 @@
-//! Material presets: typical literature values (simulation.md §10.3). Stiffness is not among them: it follows from the object's size and the
-//! sag ratio (§2.5), because real moduli would cost millions of time steps and look the same.
+//! Material presets: typical literature values (simulation.md §10.3). Stiffness is not among them: it follows from the
+//! object's size and the sag ratio (§2.5), because real moduli would cost millions of time steps and look the same.
 
 use crate::material::Law;
 

@@ -46,7 +46,8 @@ impl Quality {
     }
 }
 
-/// How long, and how fast heat runs. At most one of `melt_in_s` and `acceleration`; with neither, things melt in three quarters of the film.
+/// How long, and how fast heat runs. At most one of `melt_in_s` and `acceleration`; with neither, things melt in three
+/// quarters of the film.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Time {

@@ -1,0 +1,157 @@
+//! The command line: what can be typed, and its help.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Parser, Subcommand};
+
+/// Melt, freeze and heat real scenes: splats in, film out.
+#[derive(Debug, Parser)]
+#[command(name = "megas", version, max_term_width = 100, after_help = EXAMPLES, arg_required_else_help = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Everywhere options.
+    #[command(flatten)]
+    pub global: Global,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  megas demo                         melt the embedded ice cream; the films land in megas-out/demo
+  megas inspect donut.ply            what is in a splat file
+  megas run donut.toml -o out        melt it: fill, simulate, render
+  megas run donut.toml -o out --dry-run   only say what would be done
+  megas render donut.toml -o out     new pictures of what was simulated before
+
+A scene needs one line, the rest has defaults:
+  [input]
+  splat = \"donut.ply\"
+
+Ctrl-C stops; the same command goes on where it stopped.
+Exit codes: 0 done, 1 stopped or failed, 2 wrong input or usage.";
+
+/// Options of every command.
+#[derive(Args, Clone, Debug)]
+pub struct Global {
+    /// Print JSON lines only; the last is {"event":"result",…} or {"event":"error",…}.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// No progress and no summary, only errors.
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Also tell about notes and written files.
+    #[arg(short, long, global = true)]
+    pub verbose: bool,
+    /// Worker threads [default: all cores]. The result does not depend on them.
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Melt the embedded ice cream: no input needed.
+    #[command(after_help = "Examples:\n  megas demo\n  megas demo -o /tmp/melt --quick")]
+    Demo {
+        /// Smaller and shorter: a minute instead of minutes.
+        #[arg(long)]
+        quick: bool,
+        /// Where results go.
+        #[command(flatten)]
+        output: Output,
+    },
+    /// Say what is in a splat file: count, degree, bounding box, rows dropped.
+    #[command(after_help = "Examples:\n  megas inspect donut.ply\n  megas inspect biker.compressed.ply --json")]
+    Inspect {
+        /// A .ply, .compressed.ply or .splat file.
+        file: PathBuf,
+    },
+    /// Run a scene from end to end: fill, simulate, render.
+    #[command(after_help = "Examples:\n  megas run donut.toml -o out\n  megas run donut.toml -o out --dry-run")]
+    Run(SceneArgs),
+    /// First stage: select the objects and fill them with material points.
+    #[command(after_help = "Example:\n  megas fill donut.toml -o out")]
+    Fill(SceneArgs),
+    /// Second stage: melt the points (runs `fill` first where needed).
+    #[command(after_help = "Example:\n  megas simulate donut.toml -o out")]
+    Simulate(SceneArgs),
+    /// Third stage: pictures and films of the melt (runs the stages before where needed).
+    #[command(after_help = "Example:\n  megas render donut.toml -o out")]
+    Render(SceneArgs),
+    /// Print the JSON Schema of scene files, for editors with completion.
+    #[command(after_help = "Example:\n  megas schema > scene.schema.json")]
+    Schema,
+    /// List the material presets.
+    #[command(after_help = "Examples:\n  megas materials\n  megas materials --json")]
+    Materials,
+}
+
+/// Arguments of the commands that work on a scene.
+#[derive(Args, Clone, Debug)]
+pub struct SceneArgs {
+    /// The scene file (see `megas schema`, and the folder `examples`).
+    pub scene: PathBuf,
+    /// Where results go.
+    #[command(flatten)]
+    pub output: Output,
+}
+
+/// Where results go, or whether they go anywhere.
+#[derive(Args, Clone, Debug)]
+pub struct Output {
+    /// Output folder [default: megas-out/NAME]. What fits is continued; anything else in it is an error unless --force.
+    #[arg(short, long = "output", value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace results of another scene that are in the way.
+    #[arg(long)]
+    pub force: bool,
+    /// Only say what would be done, how much memory and roughly how long it takes.
+    #[arg(long)]
+    pub dry_run: bool,
+}
+
+impl Output {
+    /// The folder to use for something called `name`.
+    pub fn folder(&self, name: &str) -> PathBuf {
+        self.out.clone().unwrap_or_else(|| Path::new("megas-out").join(name))
+    }
+}
+
+impl Command {
+    /// Name in messages.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Demo { .. } => "demo",
+            Self::Inspect { .. } => "inspect",
+            Self::Run(_) => "run",
+            Self::Fill(_) => "fill",
+            Self::Simulate(_) => "simulate",
+            Self::Render(_) => "render",
+            Self::Schema => "schema",
+            Self::Materials => "materials",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn options_may_stand_anywhere() {
+        let cli = Cli::try_parse_from(["megas", "--json", "run", "s.toml", "-o", "d", "--threads", "2"]).unwrap();
+        assert!(cli.global.json && cli.global.threads == Some(2));
+        assert!(matches!(cli.command, Command::Run(a) if a.output.folder("x") == Path::new("d") && !a.output.dry_run));
+        let cli = Cli::try_parse_from(["megas", "demo", "-q"]).unwrap();
+        assert!(matches!(cli.command, Command::Demo { output, .. } if output.folder("demo") == Path::new("megas-out/demo")));
+        assert!(Cli::try_parse_from(["megas", "demo", "--threads", "0"]).is_err());
+        assert!(Cli::try_parse_from(["megas", "demo", "-q", "-v"]).is_err());
+    }
+}

@@ -1,0 +1,188 @@
+//! Results for people: a short table out of a result object.
+
+use std::fmt::Write;
+
+use serde_json::{Map, Value};
+
+/// Keys with a label and a unit of their own, in the order they are shown; anything else follows under its own name.
+const KNOWN: &[(&str, &str)] = &[
+    ("file", "file"),
+    ("format", "format"),
+    ("count", "Gaussians"),
+    ("dropped", "rows dropped"),
+    ("sh_degree", "SH degree"),
+    ("bbox", "bounding box"),
+    ("frames", "frames"),
+    ("seconds", "time"),
+    ("particles", "particles"),
+    ("gaussians", "Gaussians"),
+    ("acceleration", "heat runs"),
+    ("energy_residual", "energy residual"),
+    ("volume_change", "volume change"),
+    ("repairs", "repairs"),
+    ("films", "films"),
+];
+
+/// The table of a result.
+pub fn table(result: &Value) -> String {
+    let mut text = String::new();
+    let Some(map) = result.as_object() else { return text };
+    for (key, label) in KNOWN {
+        if let Some(value) = map.get(*key) {
+            row(&mut text, key, label, value, 0);
+        }
+    }
+    rest(&mut text, map, 0);
+    text
+}
+
+fn rest(text: &mut String, map: &Map<String, Value>, depth: usize) {
+    for (key, value) in map {
+        if depth > 0 || KNOWN.iter().all(|(k, _)| k != key) {
+            row(text, key, &key.replace('_', " "), value, depth);
+        }
+    }
+}
+
+fn row(text: &mut String, key: &str, label: &str, value: &Value, depth: usize) {
+    let indent = 2 * depth;
+    let width = 22usize.saturating_sub(indent);
+    let mut line = |shown: &str, first: bool| {
+        let label = if first { label } else { "" };
+        let line = format!("{:indent$}{label:<width$} {shown}", "");
+        let _ = writeln!(text, "{}", line.trim_end());
+    };
+    match value {
+        Value::Null => {}
+        Value::Object(map) if key == "bbox" || key.ends_with("_bbox") => {
+            let corner = |c: &str| map.get(c).map(scalar_list).unwrap_or_default();
+            line(&format!("{} to {}", corner("min"), corner("max")), true);
+        }
+        Value::Object(map) => {
+            line("", true);
+            rest(text, map, depth + 1);
+        }
+        Value::Array(items) if items.iter().any(|v| v.is_object()) => {
+            for (i, item) in items.iter().enumerate() {
+                let fields = item.as_object().into_iter().flatten();
+                let words: Vec<String> = fields.map(|(k, v)| format!("{} {}", k.replace('_', " "), scalar(k, v))).collect();
+                line(&words.join(", "), i == 0);
+            }
+        }
+        Value::Array(items) if items.iter().any(Value::is_string) => {
+            let words: Vec<&str> = items.iter().filter_map(Value::as_str).collect();
+            let short = key != "films" && words.iter().map(|w| w.len() + 2).sum::<usize>() <= 60;
+            match short {
+                true => line(&words.join(", "), true),
+                false => words.iter().enumerate().for_each(|(i, w)| line(w, i == 0)),
+            }
+        }
+        Value::Array(_) => line(&scalar_list(value), true),
+        _ => line(&scalar(key, value), true),
+    }
+}
+
+fn scalar_list(value: &Value) -> String {
+    let items: Vec<String> = value.as_array().into_iter().flatten().map(|v| scalar("", v)).collect();
+    format!("[{}]", items.join(", "))
+}
+
+fn scalar(key: &str, value: &Value) -> String {
+    let key = key.trim_end_matches("_estimate");
+    match value {
+        Value::String(s) => s.clone(),
+        Value::Bool(b) => if *b { "yes" } else { "no" }.into(),
+        Value::Number(n) => match (key, n.as_f64()) {
+            (_, Some(v)) if key.ends_with("seconds") || key.ends_with("_s") => duration(v),
+            (_, Some(v)) if key.ends_with("bytes") => bytes(v),
+            (_, Some(v)) if key.ends_with("_mib") => bytes(v * f64::from(1 << 20)),
+            ("volume_change", Some(v)) => format!("{:+.3} %", 100.0 * v),
+            ("acceleration", Some(v)) => format!("{} times faster than nature", number(v)),
+            (_, Some(v)) if n.is_f64() => number(v),
+            _ => n.to_string(),
+        },
+        other => other.to_string(),
+    }
+}
+
+/// Four significant digits; powers of ten where plain digits would be long.
+fn number(v: f64) -> String {
+    if v == 0.0 {
+        return "0".into();
+    }
+    let magnitude = v.abs().log10().floor() as i32;
+    if !(-3..7).contains(&magnitude) {
+        return format!("{v:.2e}");
+    }
+    let text = format!("{v:.*}", (3 - magnitude).max(0) as usize);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+}
+
+/// A time for people.
+pub fn duration(seconds: f64) -> String {
+    match seconds {
+        s if !s.is_finite() => "for ever".into(),
+        s if s < 0.0995 => format!("{:.0} ms", s * 1e3),
+        s if s < 59.95 => format!("{s:.1} s"),
+        s if s < 3599.5 => format!("{} min {:02} s", (s.round() as u64) / 60, (s.round() as u64) % 60),
+        s => format!("{} h {:02} min", (s / 60.0).round() as u64 / 60, (s / 60.0).round() as u64 % 60),
+    }
+}
+
+fn bytes(v: f64) -> String {
+    match v {
+        v if v < 1024.0 => format!("{v:.0} B"),
+        v if v < 1024.0 * 1024.0 => format!("{:.1} KiB", v / 1024.0),
+        v if v < 1024.0f64.powi(3) => format!("{:.1} MiB", v / 1024.0f64.powi(2)),
+        v => format!("{:.1} GiB", v / 1024.0f64.powi(3)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_run_reads_like_a_table() {
+        let result = json!({
+            "frames": 120, "seconds": 133.4, "particles": 60000, "energy_residual": 3.14159e-7, "volume_change": -0.00012, "repairs": 0,
+            "films": ["out/main_rgb.mp4", "out/main_thermal.mp4"], "acceleration": 42.0, "peak_memory_bytes": 3145728, "skipped": null,
+        });
+        let expected = "\
+frames                 120
+time                   2 min 13 s
+particles              60000
+heat runs              42 times faster than nature
+energy residual        3.14e-7
+volume change          -0.012 %
+repairs                0
+films                  out/main_rgb.mp4
+                       out/main_thermal.mp4
+peak memory bytes      3.0 MiB
+";
+        assert_eq!(table(&result), expected);
+    }
+
+    #[test]
+    fn nested_objects_and_lists() {
+        let result = json!({
+            "bbox": { "min": [-1.0, 0.0, 0.25], "max": [1.0, 2.0, 12345.678] }, "opacity": { "p50": 0.98765 },
+            "objects": [{ "name": "cup", "height_m": 0.1 }, { "name": "tea", "height_m": 0.05 }], "stages": ["fill", "render"],
+        });
+        let expected = "\
+bounding box           [-1, 0, 0.25] to [1, 2, 12346]
+objects                height m 0.1, name cup
+                       height m 0.05, name tea
+opacity
+  p50                  0.9877
+stages                 fill, render
+";
+        assert_eq!(table(&result), expected);
+    }
+
+    #[test]
+    fn times_have_sensible_units() {
+        assert_eq!([0.0123, 59.94, 60.0, 3599.0, 7300.0].map(duration), ["12 ms", "59.9 s", "1 min 00 s", "59 min 59 s", "2 h 02 min"]);
+    }
+}

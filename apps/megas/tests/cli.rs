@@ -1,0 +1,153 @@
+//! The conduct of the command line: exit codes, help, JSON contract, errors that leave nothing behind.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use serde_json::Value;
+
+fn megas(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_megas")).args(arguments).stdin(Stdio::null()).output().unwrap()
+}
+
+fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Every line of standard output as JSON.
+fn json_lines(output: &Output) -> Vec<Value> {
+    stdout(output).lines().map(|l| serde_json::from_str(l).unwrap_or_else(|e| panic!("{e}: {l}"))).collect()
+}
+
+fn write(folder: &Path, name: &str, text: &str) -> String {
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path.display().to_string()
+}
+
+#[test]
+fn help_answers_with_examples() {
+    for arguments in
+        [&["--help"][..], &["help", "run"], &["run", "--help"], &["demo", "--help"], &["inspect", "--help"], &["render", "--help"]]
+    {
+        let output = megas(arguments);
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}");
+        assert!(stdout(&output).contains("Example"), "{arguments:?}");
+    }
+    assert!(stdout(&megas(&["--version"])).starts_with("megas "));
+}
+
+#[test]
+fn wrong_usage_is_2_and_says_so_on_standard_error() {
+    for arguments in [&[][..], &["melt"], &["run"], &["run", "a.toml", "b.toml"], &["demo", "--threads", "none"], &["demo", "-q", "-v"]] {
+        let output = megas(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(stdout(&output).is_empty() && !stderr(&output).is_empty(), "{arguments:?}");
+    }
+    assert!(stderr(&megas(&["simulte", "a.toml"])).contains("'simulate'"), "a typing error gets a suggestion");
+}
+
+#[test]
+fn wrong_usage_with_json_is_one_error_line() {
+    let output = megas(&["run", "--json"]);
+    assert_eq!(output.status.code(), Some(2));
+    let lines = json_lines(&output);
+    assert_eq!((lines.len(), lines[0]["event"].as_str()), (1, Some("error")));
+    assert!(lines[0]["message"].as_str().unwrap().contains("<SCENE>"), "{lines:?}");
+    assert!(stderr(&output).is_empty());
+}
+
+#[test]
+fn the_schema_is_json_in_both_forms() {
+    let plain: Value = serde_json::from_str(&stdout(&megas(&["schema"]))).unwrap();
+    assert!(plain["properties"]["input"].is_object());
+    let lines = json_lines(&megas(&["schema", "--json"]));
+    assert_eq!(lines.len(), 1);
+    assert_eq!((lines[0]["event"].as_str(), &lines[0]["schema"]), (Some("result"), &plain));
+}
+
+#[test]
+fn materials_are_listed_in_both_forms() {
+    let text = stdout(&megas(&["materials"]));
+    for name in ["ice-cream", "water-ice", "paraffin-wax", "milk-chocolate", "butter", "basaltic-lava", "gallium", "soft-wax", "elastic"] {
+        assert!(text.lines().any(|l| l.starts_with(name)), "{name} is missing");
+    }
+    let lines = json_lines(&megas(&["--json", "materials"]));
+    let list = lines[0]["materials"].as_array().unwrap();
+    assert_eq!(list.iter().filter(|m| m["default"] == true).count(), 1);
+    let ice = list.iter().find(|m| m["name"] == "water-ice").unwrap();
+    assert_eq!(ice["latent_heat_j_kg"], 334e3);
+    assert!(list.iter().find(|m| m["name"] == "elastic").unwrap()["solidus_c"].is_null());
+}
+
+#[test]
+fn a_broken_scene_is_2_with_place_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let cases = [
+        ("[input]\nsplat = \"a.ply\"\n[heat]\n", ":3:2: write [[heat]]"),
+        ("[input]\nsplat = \"a.ply\"\nupp = \"+z\"\n", ":3:1: unknown key \"upp\" in input; did you mean \"up\"?"),
+        ("[input]\nsplat = \"a.ply\"\n[materials.m]\ndensity_kg_m3 = -1\n", ":4:1: materials.m.density_kg_m3 = -1: out of range"),
+        ("[input\n", ":1:"),
+    ];
+    for (text, expected) in cases {
+        let scene = write(folder.path(), "scene.toml", text);
+        for command in ["run", "fill", "simulate", "render"] {
+            let output = megas(&[command, &scene, "-o", out.to_str().unwrap()]);
+            assert_eq!(output.status.code(), Some(2), "{text}");
+            let message = stderr(&output);
+            assert!(message.starts_with("error: ") && message.contains("scene.toml") && message.contains(expected), "{message}");
+            assert_eq!(message.lines().count(), 1, "{message}");
+            assert!(stdout(&output).is_empty() && !out.exists());
+        }
+    }
+}
+
+#[test]
+fn failures_with_json_end_with_an_error_event() {
+    let folder = tempfile::tempdir().unwrap();
+    let missing = folder.path().join("missing.toml");
+    let scene = write(folder.path(), "scene.toml", "[input]\nsplat = \"missing.ply\"\n");
+    let ply = write(folder.path(), "broken.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 5\n");
+    let out = folder.path().join("out");
+    let out = out.to_str().unwrap();
+    for arguments in [
+        &["run", missing.to_str().unwrap(), "-o", out, "--json"][..],
+        &["run", &scene, "-o", out, "--json"],
+        &["fill", &scene, "-o", out, "--json"],
+        &["inspect", &ply, "--json"],
+        &["inspect", folder.path().to_str().unwrap(), "--json"],
+    ] {
+        let output = megas(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?} {}", stdout(&output));
+        let lines = json_lines(&output);
+        let last = lines.last().unwrap();
+        assert_eq!(last["event"], "error", "{arguments:?}");
+        assert!(last["message"].as_str().is_some_and(|m| m.len() > 10), "{last}");
+        assert!(lines.iter().all(|l| l["event"] != "result"));
+        assert!(!Path::new(out).exists(), "{arguments:?} left {out} behind");
+    }
+}
+
+#[test]
+fn a_dry_run_tells_and_does_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let output = megas(&["demo", "--dry-run", "--json", "-o", out.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", stdout(&output));
+    let lines = json_lines(&output);
+    assert_eq!((lines.len(), lines[0]["event"].as_str(), lines[0]["dry_run"].as_bool()), (1, Some("result"), Some(true)));
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_error() {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_megas")).arg("schema").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    assert!(stderr(&output).is_empty(), "{}", stderr(&output));
+}
