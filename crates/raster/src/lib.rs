@@ -3,9 +3,9 @@
 //! [`Gaussians`] holds what is drawn, [`Settings`] the constants of the image formation, [`Channels`] says what is wanted,
 //! and a [`Rasterizer`], which keeps its scratch memory between calls, fills a [`Frame`].
 //!
-//! How it works. Every Gaussian is projected in double precision, eight at a time ([`project`]); survivors are sorted once by
-//! depth ([`sort`]) and appended in that order to tile lists ([`bin`]); a tile is composited entry by entry on *bricks* of
-//! 4 × 4 pixels, one brick to a vector of sixteen lanes ([`kernel`]). A brick's arithmetic depends on the pixel and the
+//! How it works. Every Gaussian is projected in double precision, eight at a time (`project`); survivors are sorted once by
+//! depth (`sort`) and appended in that order to tile lists (`bin`); a tile is composited entry by entry on *bricks* of
+//! 4 × 4 pixels, one brick to a vector of sixteen lanes (`kernel`). A brick's arithmetic depends on the pixel and the
 //! Gaussian alone, so images are bit-identical for every tile size and number of threads.
 
 mod bin;
