@@ -15,7 +15,7 @@ use super::{
 /// How [`Sundae::sprinkle`] covers the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sprinkle {
-    /// Least distance of two splats on the object, scene units; the count grows with its inverse square (0.011: about 60 000).
+    /// Least distance of two splats on the object, scene units; the count grows with its inverse square (0.0105: about 60 000).
     pub spacing: f32,
     /// The same on the table.
     pub table_spacing: f32,
@@ -31,7 +31,7 @@ pub struct Sprinkle {
 
 impl Default for Sprinkle {
     fn default() -> Self {
-        Self { spacing: 0.0105, table_spacing: 0.015, size: 0.7, opacity: 0.97, sh_degree: 2, seed: 1 }
+        Self { spacing: 0.0105, table_spacing: 0.0165, size: 0.7, opacity: 0.97, sh_degree: 2, seed: 1 }
     }
 }
 
