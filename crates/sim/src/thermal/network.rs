@@ -18,6 +18,9 @@ const CHUNK: usize = 1024;
 /// would insulate like a quarter of a cell.
 const FULL: f64 = 0.8;
 
+/// Inverse distance of the rim of a body from the face of a wall, in node spacings.
+const RIM: f64 = 8.0;
+
 /// Conducting cross-section of a link whose emptier end is filled to `phi`.
 #[inline(always)]
 fn section(phi: f64) -> f64 {
@@ -133,15 +136,14 @@ struct WallLink {
     t: f64,
 }
 
-/// A node inside a wall of fixed temperature with material of a body that touches the wall. Its temperature mirrors that of
-/// the free neighbours about the wall's face, so that the face itself, not the node, is at the wall's temperature.
+/// A node inside a wall of fixed temperature that holds the rim of a body touching the wall. The rim lies on average an
+/// eighth of a cell from the face; setting it to the wall's temperature outright would heat it, and the points that make it
+/// up, by as much per step whatever the step.
 #[derive(Clone, Copy, Debug)]
-struct Pinned {
+struct Rim {
     slot: u32,
+    conductance: f64,
     t: f64,
-    /// Slots of the free neighbours.
-    free: [u32; 6],
-    count: u32,
 }
 
 /// Compact arrays over the nodes that hold material, in memory order of the grid.
@@ -167,8 +169,7 @@ pub(crate) struct Network {
     /// Conductance of each link \[W/K\].
     links: Vec<[f64; 6]>,
     walls: Vec<WallLink>,
-    /// Nodes inside a wall of fixed temperature that hold the rim of a body.
-    pinned: Vec<Pinned>,
+    rims: Vec<Rim>,
 }
 
 impl Network {
@@ -217,7 +218,7 @@ impl Network {
         self.phi.clear();
         self.e0.clear();
         self.walls.clear();
-        self.pinned.clear();
+        self.rims.clear();
     }
 
     /// Adds a node; call in ascending order of `index`.
@@ -279,18 +280,8 @@ impl Network {
     fn join_walls(&mut self, lattice: &Lattice, spacing: f64, walls: &[Wall]) {
         for s in 0..self.len() {
             if let Some(t) = walls[self.dense[s] as usize].fixed() {
-                let mut pinned = Pinned { slot: s as u32, t, free: [0; 6], count: 0 };
-                for l in 0..6 {
-                    let n = lattice.neighbour(self.node(s), l / 2, l % 2 == 1).map(|n| self.index(n));
-                    if let Some(n) = n
-                        && walls[n].fixed().is_none()
-                        && let Some(o) = self.slot_of_index(n)
-                    {
-                        pinned.free[pinned.count as usize] = o as u32;
-                        pinned.count += 1;
-                    }
-                }
-                self.pinned.push(pinned);
+                let conductance = RIM * self.k[s] * spacing * self.phi[s].min(1.0);
+                self.rims.push(Rim { slot: s as u32, conductance, t });
                 continue;
             }
             let node = self.node(s);
@@ -330,8 +321,8 @@ impl Network {
     }
 
     /// Moves heat along all links for `dt` seconds; returns the heat that came in from walls \[J\].
-    pub(crate) fn conduct(&mut self, media: &[Medium], mix: &Composition, dt: f64) -> f64 {
-        let Self { e, t, links, neighbours, walls, pinned, kind, mass, .. } = self;
+    pub(crate) fn conduct(&mut self, dt: f64) -> f64 {
+        let Self { e, t, links, neighbours, walls, rims, capacity, .. } = self;
         let mut from_walls = 0.0;
         for w in walls.iter() {
             let q = w.conductance * dt * (w.t - t[w.slot as usize]);
@@ -346,14 +337,12 @@ impl Network {
             }
             *e += dt * q;
         });
-        for p in pinned.iter() {
-            let s = p.slot as usize;
-            let free = &p.free[..p.count as usize];
-            let around = free.iter().map(|o| t[*o as usize]).sum::<f64>() / f64::from(p.count.max(1));
-            let mirrored = if free.is_empty() { p.t } else { 2.0 * p.t - around };
-            let held = mix.energy(media, kind[s], mass[s], mirrored);
-            from_walls += held - e[s];
-            e[s] = held;
+        for r in rims.iter() {
+            let s = r.slot as usize;
+            // Semi-implicit: stable for any step.
+            let q = r.conductance * dt * (r.t - t[s]) / (1.0 + r.conductance * dt / capacity[s]);
+            e[s] += q;
+            from_walls += q;
         }
         from_walls
     }

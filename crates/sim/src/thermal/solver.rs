@@ -380,7 +380,7 @@ impl ThermalSolver {
                 terms.apply(network, part);
                 network.update_temperatures(media, mix);
             }
-            from_walls += network.conduct(media, mix, part);
+            from_walls += network.conduct(part);
             network.update_temperatures(media, mix);
         }
         from_walls
