@@ -1,7 +1,9 @@
 //! Files and folders with errors a person can act on.
 
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+
+use megas_formats::AtomicFile;
 
 use crate::Failure;
 
@@ -9,34 +11,28 @@ use crate::Failure;
 pub fn explain(doing: &str, path: &Path, e: &io::Error) -> Failure {
     let help = match e.kind() {
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => "; choose a folder you may write to with -o",
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "; free some space or choose another folder with -o, then run the same command to go on",
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "; free some space or choose another folder with -o, then run the same command to go on"
+        }
         io::ErrorKind::NotFound => "; check the path",
         _ => "",
     };
     Failure::Input(format!("cannot {doing} {}: {e}{help}", path.display()))
 }
 
-/// Writes a file through a temporary neighbour and a rename, so that no reader ever sees half of it; the neighbour is
-/// removed when anything fails.
-pub fn write_atomic(path: &Path, fill: impl FnOnce(&mut BufWriter<std::fs::File>) -> io::Result<()>) -> Result<(), Failure> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(".tmp");
-    let temporary = path.with_file_name(name);
-    let attempt = || -> io::Result<()> {
-        let mut w = BufWriter::with_capacity(1 << 20, std::fs::File::create(&temporary)?);
-        fill(&mut w)?;
-        w.flush()?;
-        std::fs::rename(&temporary, path)
-    };
-    attempt().map_err(|e| {
-        let _ = std::fs::remove_file(&temporary);
-        explain("write", path, &e)
-    })
+/// Writes a file that appears whole or not at all; an existing one is replaced (stage folders belong to the program).
+pub fn write_atomic(path: &Path, fill: impl FnOnce(&mut AtomicFile) -> io::Result<()>) -> Result<(), Failure> {
+    megas_formats::write_atomic(path, true, fill).map_err(|e| Failure::Input(e.to_string()))
 }
 
 /// Creates a folder with its parents.
 pub fn create_dir(path: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(path).map_err(|e| explain("create folder", path, &e))
+}
+
+/// Writes text.
+pub fn write_text(path: &Path, text: &str) -> Result<(), Failure> {
+    write_atomic(path, |w| w.write_all(text.as_bytes()))
 }
 
 /// Writes pretty JSON.

@@ -4,6 +4,8 @@
 //! the next stage, or a later run, starts from there.
 
 mod body;
+mod cameras;
+mod colliders;
 mod convert;
 mod demo;
 mod disk;
@@ -20,7 +22,7 @@ use std::path::{Path, PathBuf};
 
 use megas_scene::Scene;
 
-pub use demo::demo;
+pub use demo::{DEMO_SCENE, demo, demo_scene};
 pub use inspect::inspect;
 pub use plan::plan;
 pub use run::{fill, render, run, simulate};

@@ -67,11 +67,6 @@ impl StageDir {
         write_json(&self.marker(), &json!({"key": self.key, "done": true, "figures": figures}))
     }
 
-    /// The key of what this stage was made from; later stages build theirs on it.
-    pub fn key(&self) -> &str {
-        &self.key
-    }
-
     fn marker(&self) -> PathBuf {
         self.path.join("stage.json")
     }

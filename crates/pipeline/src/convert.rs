@@ -1,0 +1,306 @@
+//! From the scene's words to the simulator's numbers.
+
+use std::collections::HashMap;
+
+use megas_math::{quat, vec3};
+use megas_scene::{
+    AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, MotionKey, Object, Placement, Quantity, Region, ResolvedMaterial, Scene, Severity,
+    SiShape,
+};
+use megas_sim::grid::Grid;
+use megas_sim::material::{Law, Material, PhaseMode, Rheology};
+use megas_sim::particles::MAX_NODES;
+use megas_sim::phase::PhaseOptions;
+use megas_sim::region;
+use megas_sim::schedule::{Duty, Motion, PoseKey, Schedule};
+use megas_sim::solver::SolverConfig;
+use megas_sim::source::{Film, HeatSource, SourceKind};
+use megas_sim::thermal::{AirModel, ThermalOptions, natural_film_coefficient};
+
+use crate::Failure;
+use crate::body::{BodyMeta, ObjectInfo, scene_objects, total_height};
+
+/// What sources need to know about the bodies.
+pub struct HeatContext<'a> {
+    /// Scene ↔ metres.
+    pub placement: &'a Placement,
+    /// Object numbers by name.
+    pub objects: &'a HashMap<String, u16>,
+    /// Surroundings \[K\].
+    pub ambient_k: f64,
+    /// 60 K above the highest melting point of the scene \[K\].
+    pub default_source_k: f64,
+    /// Film coefficient of natural convection around the bodies \[W/(m²·K)\].
+    pub natural_film: f64,
+}
+
+/// The simulator's source of one `[[heat]]`.
+pub fn heat_source(heat: &Heat, context: &HeatContext<'_>) -> Result<HeatSource, Failure> {
+    let kind = match heat.quantity(context.ambient_k) {
+        Quantity::Temperature(k) => SourceKind::Temperature { kelvin: k.unwrap_or(context.default_source_k) },
+        Quantity::Power(watts) => SourceKind::Power { watts },
+        Quantity::Volume(watts_per_m3) => SourceKind::Volume { watts_per_m3 },
+        Quantity::Flux(watts_per_m2) => SourceKind::Flux { watts_per_m2 },
+        Quantity::Film { coefficient, temperature_k } => {
+            SourceKind::Film(Film { ambient: temperature_k, coefficient: coefficient.unwrap_or(context.natural_film), emissivity: 0.0 })
+        }
+        Quantity::Radiation { emissivity, temperature_k } => {
+            SourceKind::Film(Film { ambient: temperature_k, coefficient: 0.0, emissivity })
+        }
+    };
+    // Keyframes of a temperature are in °C in the file and in kelvin in the simulator.
+    let kelvin = matches!(kind, SourceKind::Temperature { .. } | SourceKind::Film(_));
+    let offset = if kelvin { CELSIUS_K } else { 0.0 };
+    let s = &heat.schedule;
+    let whole = s.start_s <= 0.0 && s.end_s.is_none() && s.ramp_s <= 0.0;
+    let schedule = Schedule {
+        intervals: if whole { Vec::new() } else { vec![[s.start_s, s.end_s.unwrap_or(f64::MAX)]] },
+        ramp: s.ramp_s,
+        keyframes: s.keyframes.iter().map(|k| [k[0], k[1] + offset]).collect(),
+        duty: s.period_s.map(|period| Duty { period, on: s.duty.unwrap_or(0.5) }),
+    };
+    Ok(HeatSource {
+        name: heat.name.clone(),
+        region: heat_region(&heat.region, heat.frame, context)?,
+        kind,
+        schedule,
+        motion: motion(&heat.motion, heat.frame, context.placement),
+    })
+}
+
+fn heat_region(r: &Region, frame: Frame, context: &HeatContext<'_>) -> Result<region::Region, Failure> {
+    let object = |name: &str| {
+        context
+            .objects
+            .get(name)
+            .copied()
+            .ok_or_else(|| Failure::Input(format!("heat source names the object '{name}', which does not exist")))
+    };
+    match (r, r.to_si(frame, context.placement)) {
+        (_, Some(shape)) => Ok(si_region(shape)),
+        (Region::Surface(name), None) if name == "all" => Ok(region::Region::Surface(None)),
+        (Region::Surface(name), None) => Ok(region::Region::Surface(Some(object(name)?))),
+        (Region::Object(name), None) if name != "all" => Ok(region::Region::Object(object(name)?)),
+        _ => Ok(region::Region::All),
+    }
+}
+
+/// A shape of the scene as a region of the simulator.
+pub fn si_region(shape: SiShape) -> region::Region {
+    match shape {
+        SiShape::Sphere { center, radius } => region::Region::Sphere { center, radius },
+        SiShape::Box { center, half, axes } => region::Region::Box { center, half, rotation: quat::from_mat3(axes) },
+        SiShape::Cylinder { from, to, radius } => region::Region::Cylinder { a: from, b: to, radius },
+        SiShape::Capsule { from, to, radius } => region::Region::Capsule { a: from, b: to, radius },
+        // The scene says where the half-space lies, the simulator which way its surface faces.
+        SiShape::HalfSpace { point, direction } => region::Region::HalfSpace { point, normal: direction.map(|v| -v) },
+    }
+}
+
+/// Keyframed motion in metres.
+pub fn motion(keys: &[MotionKey], frame: Frame, placement: &Placement) -> Motion {
+    let one = placement.length(frame, 1.0);
+    let key = |k: &MotionKey| {
+        let turn = |d: [f64; 3]| match frame {
+            Frame::Scene => placement.similarity.direction_to_si(d),
+            Frame::Object => d,
+        };
+        let axis = vec3::normalize_or(turn(k.axis), [0.0, 0.0, 1.0]);
+        PoseKey {
+            time: k.time_s,
+            translation: vec3::scale(turn(k.offset), one),
+            rotation: quat::from_axis_angle(axis, k.rotation_deg.to_radians()),
+        }
+    };
+    Motion(keys.iter().map(key).collect())
+}
+
+/// The number of an [`Auto`], or the program's choice.
+pub fn auto(value: Auto, choice: impl FnOnce() -> f64) -> f64 {
+    value.value().unwrap_or_else(choice)
+}
+
+/// The material of an object in the scene's numbers, for a body of that height \[m\].
+pub fn resolve_material(scene: &Scene, object: &Object, height_m: f64) -> Result<ResolvedMaterial, Failure> {
+    let spec = scene
+        .material(&object.material)
+        .ok_or_else(|| Failure::Input(format!("object '{}': there is no material '{}'", object.name, object.material)))?;
+    spec.resolve(&object.material, &scene.material_context(object, height_m))
+        .map_err(|e| Failure::Input(format!("material '{}' of object '{}': {e}", object.material, object.name)))
+}
+
+/// The same material for the simulator.
+pub fn sim_material(m: &ResolvedMaterial) -> Material {
+    Material {
+        name: m.name.clone(),
+        law: match m.law {
+            megas_scene::Law::Hencky => Law::Hencky,
+            megas_scene::Law::FixedCorotated => Law::FixedCorotated,
+        },
+        density: m.density,
+        shear_modulus: m.shear_modulus,
+        bulk_modulus: m.bulk_modulus,
+        solid_yield_stress: m.solid_yield_stress,
+        melt_shear_modulus: m.melt_shear_modulus,
+        melt: Rheology { yield_stress: m.melt_yield_stress, consistency: m.melt_consistency, index: m.melt_flow_index },
+        arrhenius_k: m.arrhenius_k,
+        softening: m.softening,
+        reference_temperature: m.reference_temperature,
+        heat_capacity_solid: m.heat_capacity_solid,
+        heat_capacity_liquid: m.heat_capacity_liquid,
+        conductivity_solid: m.conductivity_solid,
+        conductivity_liquid: m.conductivity_liquid,
+        latent_heat: m.latent_heat,
+        solidus: m.solidus,
+        liquidus: m.liquidus,
+        phase_mode: match m.phase_mode {
+            megas_scene::PhaseMode::Mushy => PhaseMode::Mushy,
+            megas_scene::PhaseMode::Binary => PhaseMode::Binary,
+            megas_scene::PhaseMode::InitMelted => PhaseMode::InitMelted,
+        },
+    }
+}
+
+/// Thermal acceleration A_th of the run: the scene's factor, or the one that melts the slowest object in the wanted time
+/// (simulation.md §3.8, §10.3). With it the times to melt at nature's pace \[s\], infinite for what never melts.
+pub fn acceleration(scene: &Scene, meta: &BodyMeta, materials: &[ResolvedMaterial], sources: &[HeatSource]) -> (f64, Vec<f64>) {
+    let times: Vec<f64> = meta.objects.iter().zip(materials).map(|(o, m)| natural_melt_time(scene, meta, o, m, sources)).collect();
+    let factor = match scene.clock() {
+        Clock::Factor(f) => f,
+        Clock::MeltIn(seconds) => {
+            let slowest = times.iter().copied().filter(|t| t.is_finite()).fold(0.0, f64::max);
+            if slowest > 0.0 { (slowest / seconds).max(1.0) } else { 1.0 }
+        }
+    };
+    (factor, times)
+}
+
+fn natural_melt_time(scene: &Scene, meta: &BodyMeta, object: &ObjectInfo, m: &ResolvedMaterial, sources: &[HeatSource]) -> f64 {
+    // Volume over surface of a compact body; a ball has 0.207 V^(1/3).
+    let depth = 0.2 * object.volume_m3.cbrt();
+    let start = m.initial_temperature_k(scene.ambient_k());
+    let t_m = m.melting_point();
+    let film = |f: &Film| f.total_coefficient(t_m.min(f.ambient)) * (f.ambient - t_m);
+    let volume: f64 = meta.objects.iter().map(|o| o.volume_m3).sum();
+    let mut best = f64::INFINITY;
+    for s in sources {
+        let first = |v: f64| s.schedule.keyframes.iter().map(|k| k[1]).fold(v, f64::max);
+        let (flux, surface) = match s.kind {
+            SourceKind::Temperature { kelvin } => (None, Some(first(kelvin))),
+            SourceKind::Power { watts } => (Some(first(watts) * depth / volume), None),
+            SourceKind::Volume { watts_per_m3 } => (Some(first(watts_per_m3) * depth), None),
+            SourceKind::Flux { watts_per_m2 } => (Some(first(watts_per_m2)), None),
+            SourceKind::Film(f) => (Some(film(&Film { ambient: first(f.ambient), ..f })), None),
+        };
+        best = best.min(m.melt_time_s(depth, start, flux, surface));
+    }
+    if scene.air.mode == AirMode::Film {
+        let air = air_film(scene, volume);
+        best = best.min(m.melt_time_s(depth, start, Some(film(&air)), None));
+    }
+    best
+}
+
+/// The film that stands in for the air.
+pub fn air_film(scene: &Scene, volume_m3: f64) -> Film {
+    let ambient = scene.ambient_k();
+    let coefficient = auto(scene.air.film_coefficient_w_m2k, || natural_film_coefficient(volume_m3, 20.0, ambient));
+    Film { ambient, coefficient, emissivity: scene.air.emissivity }
+}
+
+/// What a scene becomes for the simulator.
+pub struct Prepared {
+    /// Everything the solver needs.
+    pub config: SolverConfig,
+    /// Thermal acceleration.
+    pub acceleration: f64,
+    /// Times to melt at nature's pace \[s\].
+    pub melt_times: Vec<f64>,
+    /// Remarks of the material checks.
+    pub remarks: Vec<String>,
+}
+
+/// The simulator's configuration of a scene with built bodies.
+pub fn prepare(scene: &Scene, meta: &BodyMeta) -> Result<Prepared, Failure> {
+    let objects = scene_objects(scene);
+    let height = total_height(meta);
+    let placement = meta.placement();
+    let materials = objects.iter().map(|o| resolve_material(scene, o, height)).collect::<Result<Vec<_>, _>>()?;
+    let limits = scene.step_limits(height, meta.dx_m);
+    let mut remarks = Vec::new();
+    for m in &materials {
+        for (severity, text) in m.check(&limits).messages {
+            match severity {
+                Severity::Error => return Err(Failure::Input(text)),
+                _ if remarks.contains(&text) => {}
+                _ => remarks.push(text),
+            }
+        }
+    }
+    let names: HashMap<String, u16> = meta.objects.iter().map(|o| (o.name.clone(), o.number)).collect();
+    let volume: f64 = meta.objects.iter().map(|o| o.volume_m3).sum();
+    let hottest = materials.iter().map(ResolvedMaterial::melting_point).filter(|t| t.is_finite()).fold(scene.ambient_k(), f64::max);
+    let context = HeatContext {
+        placement: &placement,
+        objects: &names,
+        ambient_k: scene.ambient_k(),
+        default_source_k: hottest + 60.0,
+        natural_film: natural_film_coefficient(volume, 20.0, scene.ambient_k()),
+    };
+    let sources = scene.heat_or_default().iter().map(|h| heat_source(h, &context)).collect::<Result<Vec<_>, _>>()?;
+    let (factor, melt_times) = acceleration(scene, meta, &materials, &sources);
+    let air = match scene.air.mode {
+        AirMode::None => AirModel::None,
+        AirMode::Film => AirModel::Film(air_film(scene, volume)),
+    };
+    let (colliders, collider_temperature) = crate::colliders::colliders(scene, meta)?;
+    let config = SolverConfig {
+        grid: grid(scene, meta)?,
+        materials: materials.iter().map(|m| sim_material(m).accelerated(factor)).collect(),
+        sources,
+        colliders,
+        collider_temperature,
+        gravity: [0.0, 0.0, -scene.simulation.gravity_m_s2],
+        ambient: scene.ambient_k(),
+        thermal: ThermalOptions { air, ..ThermalOptions::default() },
+        phase: PhaseOptions { delta_t: scene.simulation.hysteresis_k, ..PhaseOptions::default() },
+        frame_dt: scene.time.frame_dt_s(),
+        coupling_step: scene.simulation.coupling_step_s,
+        courant: scene.simulation.courant,
+        mechanics: scene.simulation.mechanics,
+    };
+    Ok(Prepared { config, acceleration: factor, melt_times, remarks })
+}
+
+/// The simulation box (simulation.md §0.1): room to spread at the sides, a little above, the support four cells above the
+/// lowest nodes.
+fn grid(scene: &Scene, meta: &BodyMeta) -> Result<Grid, Failure> {
+    let dx = meta.dx_m;
+    let size: [f64; 3] = std::array::from_fn(|a| meta.box_max[a] - meta.box_min[a]);
+    let longest = size.iter().copied().fold(0.0, f64::max);
+    let room = scene.simulation.box_m;
+    let mut lo = [0.0; 3];
+    let mut nodes = [0; 3];
+    for a in 0..3 {
+        let (below, above) = match (a, room) {
+            (2, None) => (6.0 * dx, (8.0 * dx).max(0.5 * longest)),
+            (2, Some(r)) => (6.0 * dx, (r[2] - size[2]).max(8.0 * dx)),
+            (_, None) => ((8.0 * dx).max(0.8 * longest), (8.0 * dx).max(0.8 * longest)),
+            (_, Some(r)) => {
+                let side = (0.5 * (r[a] - size[a])).max(8.0 * dx);
+                (side, side)
+            }
+        };
+        let bottom = if a == 2 { meta.support_z.min(meta.box_min[2]) } else { meta.box_min[a] };
+        lo[a] = bottom - below;
+        nodes[a] = ((meta.box_max[a] + above - lo[a]) / dx).ceil() as usize + 1;
+        if nodes[a] > MAX_NODES {
+            return Err(Failure::Input(format!(
+                "the simulation box would have {} nodes along {}, more than {MAX_NODES}; use fewer cells or a smaller simulation.box_m",
+                nodes[a],
+                ["x", "y", "z"][a]
+            )));
+        }
+    }
+    Ok(Grid { origin: lo, spacing: dx, nodes })
+}

@@ -1,0 +1,276 @@
+//! Stage three: frames of the simulation to pictures, films and splat sequences.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use megas_film::{CameraPath, Captions, Mp4Writer, PlySequence, ThermalStyle, side_by_side, thermal_image, write_png};
+use megas_formats::WriteOptions;
+use megas_model::Image;
+use megas_raster::{Channels, Frame, Gaussians, Rasterizer, Settings};
+use megas_scene::{CELSIUS_K, Film, Scene};
+use megas_skin::{InternalKernels, Push, Skin, SkinSettings, bake_splats};
+use serde_json::{Value, json};
+
+use crate::body::{Bodies, scene_objects, total_height};
+use crate::cameras::camera_paths;
+use crate::convert::resolve_material;
+use crate::disk::{create_dir, frame_path};
+use crate::simulate::read_frame;
+use crate::stage::StageDir;
+use crate::{Event, Failure, LoadedScene, Options, Sink};
+
+/// Frames looked at for the range of the false colours.
+const RANGE_SAMPLES: u64 = 12;
+
+/// Everything that stays the same from frame to frame.
+struct Studio<'a> {
+    scene: &'a Scene,
+    paths: Vec<(String, CameraPath)>,
+    size: (u32, u32),
+    style: ThermalStyle,
+    background: Gaussians,
+    skin: Skin,
+    surface: usize,
+    antialiased: bool,
+}
+
+/// Renders what is missing and writes the films; returns the figures of the stage.
+pub fn render(
+    loaded: &LoadedScene,
+    bodies: &Bodies,
+    simulated: &Path,
+    stage: &StageDir,
+    options: &Options,
+    sink: &dyn Sink,
+) -> Result<Value, Failure> {
+    let scene = &loaded.scene;
+    let total = scene.time.frames();
+    let mut studio = Studio {
+        scene,
+        paths: camera_paths(scene, &bodies.meta)?,
+        size: scene.picture_size(),
+        style: thermal_style(scene, bodies, simulated, total)?,
+        background: Gaussians::from_splats(&bodies.background),
+        skin: skin(scene, bodies),
+        surface: bodies.surface.len(),
+        antialiased: bodies.meta.antialiased,
+    };
+    studio.background.temperature.fill(scene.ambient_k() as f32);
+    stage.begin()?;
+    sink.event(Event::Stage { name: "render", steps: total });
+    let start = Instant::now();
+    let mut rasterizer = Rasterizer::new();
+    let mut frame = Frame::default();
+    let mut posed = Gaussians::default();
+    let splats = sequence(scene, &options.out)?;
+    let mut clamped = 0;
+    for k in 0..total {
+        if sink.cancelled() {
+            return Err(Failure::Interrupted(format!("stopped at picture {k} of {total}; run the same command again to continue")));
+        }
+        let points = read_frame(simulated, k)?;
+        studio.skin.advance(&points);
+        let wanted = studio.missing(&stage.path, k);
+        let ply = splats.as_ref().filter(|_| k % u64::from(scene.output.ply_every.max(1)) == 0).filter(|s| !s.path(k as u32).exists());
+        if wanted.is_empty() && ply.is_none() {
+            sink.event(Event::Step { done: k + 1 });
+            continue;
+        }
+        clamped = studio.skin.pose(&points, &mut posed);
+        if let Some(sequence) = ply {
+            let mut baked = bake_splats(&posed, studio.surface);
+            baked.append(&bodies.background);
+            sequence.write(k as u32, &baked).map_err(|e| Failure::Input(e.to_string()))?;
+        }
+        posed.extend_from(&studio.background);
+        for camera in wanted {
+            studio.picture(camera, k, &posed, &mut rasterizer, &mut frame, &stage.path)?;
+        }
+        sink.event(Event::Step { done: k + 1 });
+    }
+    sink.event(Event::StageDone { name: "render", seconds: start.elapsed().as_secs_f64() });
+    let films = films(&studio, &stage.path, options, total, sink)?;
+    if !scene.output.png {
+        for (name, _) in &studio.paths {
+            for k in 0..total {
+                for kind in KINDS {
+                    let _ = std::fs::remove_file(picture_path(&stage.path, name, kind, k));
+                }
+            }
+        }
+    }
+    let gaussians = posed.len().max(bodies.surface.len() + bodies.background.len());
+    let figures = json!({"films": films, "gaussians": gaussians, "needles_clamped_last_frame": clamped});
+    stage.finish(&figures)?;
+    Ok(figures)
+}
+
+/// Kinds of pictures on disk.
+const KINDS: [&str; 2] = ["rgb", "thermal"];
+
+fn picture_path(folder: &Path, camera: &str, kind: &str, k: u64) -> PathBuf {
+    let stem = if camera == "main" { kind.to_owned() } else { format!("{camera}_{kind}") };
+    frame_path(folder, &stem, k as usize, "png")
+}
+
+fn sequence(scene: &Scene, out: &Path) -> Result<Option<PlySequence>, Failure> {
+    if scene.output.ply_every == 0 {
+        return Ok(None);
+    }
+    let options = WriteOptions { overwrite: true, ..WriteOptions::default() };
+    PlySequence::create(out.join("splats"), options).map(Some).map_err(|e| Failure::Input(e.to_string()))
+}
+
+fn skin(scene: &Scene, bodies: &Bodies) -> Skin {
+    let m = &bodies.meta;
+    let unit = m.similarity.metres_per_unit;
+    let size: [f64; 3] = std::array::from_fn(|a| m.box_max[a] - m.box_min[a]);
+    let tau_scale = (0.01 * megas_math::vec3::norm(size)).min(0.5 * m.dx_m) / unit;
+    let settings = SkinSettings {
+        push: match scene.skin.push {
+            megas_scene::Push::Elastic => Push::Elastic,
+            megas_scene::Push::Total => Push::Total,
+            megas_scene::Push::Rotation => Push::Rotation,
+        },
+        needle_aspect: scene.skin.max_stretch,
+        needle_size: 2.0 * tau_scale,
+    };
+    // Particles stand half a cell apart; κ = 0.7 of their distance makes them opaque together (splatting.md §7.2).
+    let radius = if scene.skin.show_inside { (0.7 * 0.5 * m.dx_m / unit) as f32 } else { 0.0 };
+    let inside = bodies.points.position[bodies.surface.len()..].iter();
+    let position = inside.map(|x| m.similarity.to_scene(*x).map(|v| v as f32)).collect();
+    let internal = InternalKernels { colour: bodies.internal_rgb.clone(), position, radius };
+    Skin::new(bodies.surface.clone(), internal, m.similarity, settings)
+}
+
+/// Range of the false colours and the melting line.
+fn thermal_style(scene: &Scene, bodies: &Bodies, simulated: &Path, total: u64) -> Result<ThermalStyle, Failure> {
+    let height = total_height(&bodies.meta);
+    let mut melting = None;
+    for o in scene_objects(scene) {
+        let t = resolve_material(scene, &o, height)?.melting_point();
+        if melting.is_none() && t.is_finite() {
+            melting = Some(t as f32);
+        }
+    }
+    let range = match scene.output.thermal_range_c {
+        Some(r) => r.map(|c| (c + CELSIUS_K) as f32),
+        None => {
+            let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+            for s in 0..=RANGE_SAMPLES {
+                let mut t = read_frame(simulated, s * (total - 1) / RANGE_SAMPLES)?.temperature;
+                t.sort_by(f32::total_cmp);
+                range = [range[0].min(t[t.len() / 200]), range[1].max(t[t.len() - 1 - t.len() / 200])];
+            }
+            // A little room, and never a range too narrow to draw.
+            let middle = 0.5 * (range[0] + range[1]);
+            let half = (0.52 * (range[1] - range[0])).max(0.5);
+            [middle - half, middle + half]
+        }
+    };
+    Ok(ThermalStyle::new(range, melting))
+}
+
+impl Studio<'_> {
+    fn wants(&self, kind: &str) -> bool {
+        let films = &self.scene.output.films;
+        films.contains(&Film::SideBySide)
+            || films.contains(if kind == "rgb" { &Film::Rgb } else { &Film::Thermal })
+            || films.is_empty() && kind == "rgb"
+    }
+
+    /// Cameras whose pictures of frame `k` are not all there.
+    fn missing(&self, folder: &Path, k: u64) -> Vec<usize> {
+        (0..self.paths.len())
+            .filter(|&c| KINDS.iter().any(|kind| self.wants(kind) && !picture_path(folder, &self.paths[c].0, kind, k).exists()))
+            .collect()
+    }
+
+    fn picture(
+        &self,
+        camera: usize,
+        k: u64,
+        g: &Gaussians,
+        rasterizer: &mut Rasterizer,
+        frame: &mut Frame,
+        folder: &Path,
+    ) -> Result<(), Failure> {
+        let (name, path) = &self.paths[camera];
+        let view = path.camera_at(k as f64 / self.scene.time.fps, self.size.0, self.size.1);
+        let settings = Settings { background: self.scene.output.background.0, anti_aliased: self.antialiased, ..Settings::default() };
+        let channels = if self.wants("thermal") { Channels::RgbaTemperature } else { Channels::Rgba };
+        rasterizer.render(g, &view, &settings, channels, frame);
+        let fail = |e: megas_film::FilmError| Failure::Input(e.to_string());
+        if self.wants("rgb") {
+            write_png(picture_path(folder, name, "rgb", k), &frame.rgb_image(), true).map_err(fail)?;
+        }
+        if self.wants("thermal") {
+            let n = frame.rgb.len();
+            let plane = |data: Vec<f32>| Image { width: frame.width, height: frame.height, channels: 1, data };
+            let alpha = plane((0..n).map(|i| frame.alpha(i)).collect());
+            let kelvin = plane((0..n).map(|i| frame.temperature[i] / frame.alpha(i).max(1e-6)).collect());
+            let image = thermal_image(&kelvin, &alpha, &self.style).map_err(fail)?;
+            write_png(picture_path(folder, name, "thermal", k), &image, true).map_err(fail)?;
+        }
+        Ok(())
+    }
+}
+
+/// Encodes the films from the pictures on disk.
+fn films(studio: &Studio<'_>, folder: &Path, options: &Options, total: u64, sink: &dyn Sink) -> Result<Vec<String>, Failure> {
+    create_dir(&options.out)?;
+    let wanted = &studio.scene.output.films;
+    sink.event(Event::Stage { name: "encode", steps: total * (studio.paths.len() * wanted.len()) as u64 });
+    let start = Instant::now();
+    let mut paths = Vec::new();
+    let mut done = 0;
+    for (name, _) in &studio.paths {
+        for film in wanted {
+            let stem = match film {
+                Film::Rgb => "film",
+                other => other.name(),
+            };
+            let file = if name == "main" { format!("{stem}.mp4") } else { format!("{name}_{stem}.mp4") };
+            let path = options.out.join(file);
+            let mut writer: Option<Mp4Writer> = None;
+            for k in 0..total {
+                if sink.cancelled() {
+                    return Err(Failure::Interrupted("stopped while encoding; run the same command again to continue".into()));
+                }
+                let read = |kind| read_png(&picture_path(folder, name, kind, k));
+                let time = k as f64 * studio.scene.time.frame_dt_s();
+                let image = match film {
+                    Film::Rgb => read("rgb")?,
+                    Film::Thermal => read("thermal")?,
+                    Film::SideBySide => {
+                        let captions = Captions { time: Some(time), ..Captions::default() };
+                        side_by_side(&read("rgb")?, &read("thermal")?, &captions).map_err(|e| Failure::Input(e.to_string()))?
+                    }
+                };
+                let w = match &mut writer {
+                    Some(w) => w,
+                    none => none.insert(
+                        Mp4Writer::create(&path, image.width, image.height, studio.scene.time.fps, true)
+                            .map_err(|e| Failure::Input(e.to_string()))?,
+                    ),
+                };
+                w.push(&image).map_err(|e| Failure::Input(e.to_string()))?;
+                done += 1;
+                sink.event(Event::Step { done });
+            }
+            if let Some(w) = writer {
+                w.finish().map_err(|e| Failure::Input(e.to_string()))?;
+                sink.event(Event::File(&path));
+                paths.push(path.display().to_string());
+            }
+        }
+    }
+    sink.event(Event::StageDone { name: "encode", seconds: start.elapsed().as_secs_f64() });
+    Ok(paths)
+}
+
+fn read_png(path: &Path) -> Result<Image, Failure> {
+    let image = image::open(path).map_err(|e| Failure::Input(format!("{}: {e}; delete it to render it again", path.display())))?.to_rgb8();
+    let (width, height) = image.dimensions();
+    Ok(Image { width, height, channels: 3, data: image.into_raw().iter().map(|v| f32::from(*v) / 255.0).collect() })
+}

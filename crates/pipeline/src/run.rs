@@ -1,0 +1,145 @@
+//! The commands: each brings its stage and those before it up to date.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use serde_json::{Map, Value, json};
+
+use crate::body::{Bodies, build};
+use crate::stage::{Found, KeyBuilder, StageDir};
+use crate::{Event, Failure, LoadedScene, Options, Sink};
+
+/// Brings the bodies up to date and returns their figures.
+pub fn fill(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
+    in_pool(options, || Ok(bodies(scene, options, sink)?.1))
+}
+
+/// Brings bodies and simulation up to date and returns the figures of the simulation.
+pub fn simulate(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
+    in_pool(options, || {
+        let (bodies, _, key) = bodies(scene, options, sink)?;
+        Ok(simulation(scene, &bodies, &key, options, sink)?.0)
+    })
+}
+
+/// Brings everything up to date and returns the figures of the pictures.
+pub fn render(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
+    in_pool(options, || {
+        let (bodies, _, key) = bodies(scene, options, sink)?;
+        let (_, path, key) = simulation(scene, &bodies, &key, options, sink)?;
+        pictures(scene, &bodies, &path, &key, options, sink)
+    })
+}
+
+/// The whole job, from the input to the films.
+pub fn run(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
+    let start = Instant::now();
+    in_pool(options, || {
+        let (bodies, _, key) = bodies(scene, options, sink)?;
+        let (simulated, path, key) = simulation(scene, &bodies, &key, options, sink)?;
+        let rendered = pictures(scene, &bodies, &path, &key, options, sink)?;
+        let mut all = Map::new();
+        for part in [simulated, rendered] {
+            if let Value::Object(m) = part {
+                all.extend(m);
+            }
+        }
+        all.insert("seconds".into(), json!(start.elapsed().as_secs_f64()));
+        let all = Value::Object(all);
+        crate::disk::write_json(&options.out.join("result.json"), &all)?;
+        Ok(all)
+    })
+}
+
+/// Runs `work` with the wanted number of threads.
+fn in_pool<T: Send>(options: &Options, work: impl FnOnce() -> Result<T, Failure> + Send) -> Result<T, Failure> {
+    let Some(n) = options.threads else { return work() };
+    let pool =
+        rayon::ThreadPoolBuilder::new().num_threads(n).build().map_err(|e| Failure::Other(format!("cannot start {n} threads: {e}")))?;
+    pool.install(work)
+}
+
+fn bodies(loaded: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<(Bodies, Value, String), Failure> {
+    let s = &loaded.scene;
+    let mut key = KeyBuilder::new("body")
+        .settings(&s.input)?
+        .settings(&s.objects)?
+        .settings(&s.materials)?
+        .settings(&s.fill)?
+        .settings(&s.air)?
+        .settings(&(s.seed, s.cells(), s.sag_ratio(), s.simulation.box_m, s.skin.patch_background))?;
+    if let Some(file) = &s.input.splat {
+        key = key.file(&loaded.base_dir.join(file))?;
+    }
+    let key = key.finish();
+    let (stage, found) = StageDir::open(options, "body", key.clone())?;
+    if let Found::Done(figures) = found {
+        sink.event(Event::Note("the body is up to date"));
+        return Ok((Bodies::read(&stage.path)?, figures, key));
+    }
+    sink.event(Event::Stage { name: "fill", steps: 0 });
+    let start = Instant::now();
+    let (bodies, figures) = build(loaded, sink)?;
+    // Only now: a scene that does not work out leaves nothing behind.
+    stage.begin()?;
+    crate::disk::write_text(&options.out.join("scene.toml"), &loaded.text)?;
+    bodies.write(&stage.path)?;
+    stage.finish(&figures)?;
+    sink.event(Event::StageDone { name: "fill", seconds: start.elapsed().as_secs_f64() });
+    Ok((bodies, figures, key))
+}
+
+fn simulation(
+    loaded: &LoadedScene,
+    bodies: &Bodies,
+    body_key: &str,
+    options: &Options,
+    sink: &dyn Sink,
+) -> Result<(Value, PathBuf, String), Failure> {
+    let s = &loaded.scene;
+    let key = KeyBuilder::new("sim")
+        .text(body_key)
+        .settings(&s.heat)?
+        .settings(&s.support)?
+        .settings(&s.colliders)?
+        .settings(&s.time)?
+        .settings(&s.simulation)?
+        .finish();
+    let (stage, found) = StageDir::open(options, "sim", key.clone())?;
+    let figures = match found {
+        Found::Done(figures) => {
+            sink.event(Event::Note("the simulation is up to date"));
+            figures
+        }
+        found => crate::simulate::simulate(loaded, bodies, &stage, found, sink)?,
+    };
+    Ok((figures, stage.path, key))
+}
+
+fn pictures(
+    loaded: &LoadedScene,
+    bodies: &Bodies,
+    simulated: &std::path::Path,
+    sim_key: &str,
+    options: &Options,
+    sink: &dyn Sink,
+) -> Result<Value, Failure> {
+    let s = &loaded.scene;
+    let key = KeyBuilder::new("frames")
+        .text(sim_key)
+        .settings(&s.cameras)?
+        .settings(&s.output)?
+        .settings(&s.skin)?
+        .settings(&s.picture_size())?
+        .finish();
+    let (stage, found) = StageDir::open(options, "frames", key)?;
+    if let Found::Done(figures) = found {
+        let whole =
+            figures["films"].as_array().is_some_and(|f| f.iter().all(|p| p.as_str().is_some_and(|p| std::path::Path::new(p).exists())));
+        if whole {
+            sink.event(Event::Note("the pictures are up to date"));
+            return Ok(figures);
+        }
+    }
+    crate::render::render(loaded, bodies, simulated, &stage, options, sink)
+}

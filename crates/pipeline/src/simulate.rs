@@ -1,0 +1,201 @@
+//! Stage two: the simulation, frame by frame, with checkpoints.
+
+use std::path::Path;
+use std::time::Instant;
+
+use megas_model::PointFrame;
+use megas_sim::solver::{Checkpoint, FrameReport, Solver, Totals, repaired};
+use serde_json::{Value, json};
+
+use crate::body::Bodies;
+use crate::convert::{Prepared, prepare};
+use crate::disk::frame_path;
+use crate::stage::{Found, StageDir};
+use crate::table::Table;
+use crate::{Event, Failure, LoadedScene, Sink};
+
+/// Frames between two checkpoints.
+const CHECKPOINT_EVERY: u64 = 4;
+
+/// Largest relative error of the energy audit that passes without a warning (simulation.md §3.7).
+const AUDIT_LIMIT: f64 = 1e-5;
+
+/// Number of simulated frames of a scene; frame 0 is the state at rest.
+pub fn frames(loaded: &LoadedScene) -> u64 {
+    loaded.scene.time.frames()
+}
+
+/// Runs or continues the simulation and returns its figures.
+pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: Found, sink: &dyn Sink) -> Result<Value, Failure> {
+    let Prepared { config, acceleration, melt_times, remarks } = prepare(&loaded.scene, &bodies.meta)?;
+    for r in &remarks {
+        sink.event(Event::Warning(r));
+    }
+    for (o, t) in bodies.meta.objects.iter().zip(&melt_times) {
+        if t.is_finite() {
+            sink.event(Event::Note(&format!("{} would melt in about {}; heat runs {acceleration:.0} times faster", o.name, span(*t))));
+        }
+    }
+    let total = frames(loaded);
+    let fail = |e: megas_sim::solver::SimError| Failure::Input(e.to_string());
+    let mut solver = Solver::new(config, &bodies.points).map_err(fail)?;
+    for (k, o) in crate::body::scene_objects(&loaded.scene).iter().enumerate() {
+        if let Some(v) = o.initial_velocity_m_s {
+            solver.set_object_velocity(k as u16 + 1, v.map(|c| c as f32));
+        }
+    }
+    stage.begin()?;
+    let resumed = matches!(found, Found::Partial) && resume(&mut solver, &stage.path);
+    sink.event(Event::Stage { name: "simulate", steps: total - 1 });
+    if resumed {
+        sink.event(Event::Note(&format!("continuing at frame {} of {total}", solver.frames_done())));
+    } else {
+        write_frame(&stage.path, 0, &solver.export(), None)?;
+    }
+    sink.event(Event::Step { done: solver.frames_done() });
+    let start = Instant::now();
+    while solver.frames_done() + 1 < total {
+        let Some(report) = solver.advance_frame(&|| sink.cancelled()).map_err(fail)? else {
+            save_checkpoint(&solver, &stage.path)?;
+            return Err(Failure::Interrupted(format!(
+                "stopped at frame {} of {total}; run the same command again to continue",
+                solver.frames_done()
+            )));
+        };
+        warn_about(&report, sink);
+        let frame = solver.export();
+        write_frame(&stage.path, report.frame, &frame, Some(&report))?;
+        if report.frame % CHECKPOINT_EVERY == 0 || report.frame + 1 == total {
+            save_checkpoint(&solver, &stage.path)?;
+        }
+        sink.event(Event::Step { done: solver.frames_done() });
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    let totals = solver.totals().clone();
+    if totals.energy_residual() > AUDIT_LIMIT {
+        sink.event(Event::Warning(&format!("the energy audit does not close: relative residual {:.1e}", totals.energy_residual())));
+    }
+    let figures = figures(&totals, total, bodies, acceleration);
+    stage.finish(&figures)?;
+    for name in CHECKPOINTS {
+        let _ = std::fs::remove_file(stage.path.join(name));
+    }
+    sink.event(Event::StageDone { name: "simulate", seconds });
+    Ok(figures)
+}
+
+fn figures(totals: &Totals, frames: u64, bodies: &Bodies, acceleration: f64) -> Value {
+    json!({
+        "frames": frames,
+        "particles": bodies.points.len(),
+        "substeps": totals.substeps,
+        "energy_residual": totals.energy_residual(),
+        "energy_audit": totals.audit,
+        "volume_change": totals.volume_change,
+        "repairs": repaired(&totals.repairs),
+        "rollbacks": totals.rollbacks,
+        "max_speed_m_s": totals.max_speed,
+        "thermal_acceleration": acceleration,
+    })
+}
+
+fn warn_about(report: &FrameReport, sink: &dyn Sink) {
+    if report.rollbacks > 0 {
+        sink.event(Event::Warning(&format!(
+            "frame {}: {} coupling steps were repeated with smaller time steps",
+            report.frame, report.rollbacks
+        )));
+    }
+    let repairs = repaired(&report.repairs);
+    if repairs > 0 {
+        sink.event(Event::Warning(&format!("frame {}: {repairs} points were repaired ({:?})", report.frame, report.repairs)));
+    }
+    if report.volume_change.abs() > 0.03 {
+        sink.event(Event::Warning(&format!(
+            "frame {}: the volume changed by {:.1} %: the material is too soft for its weight or the cells are too coarse",
+            report.frame,
+            100.0 * report.volume_change
+        )));
+    }
+}
+
+/// "3 h 20 min", "45 s".
+fn span(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
+        s => format!("{:.1} days", s / 86_400.0),
+    }
+}
+
+fn write_frame(folder: &Path, index: u64, f: &PointFrame, report: Option<&FrameReport>) -> Result<(), Failure> {
+    let mut t = Table::new(json!({"frame": index, "time": f.time, "points": f.id.len(), "report": report}));
+    t.push("id", &f.id);
+    t.push("position", &f.position);
+    t.push("elastic", &f.elastic);
+    t.push("total", &f.total);
+    t.push("rebase", &f.rebase);
+    t.push("normal", &f.normal);
+    t.push("temperature", &f.temperature);
+    t.push("liquid", &f.liquid);
+    t.push("phase", &f.phase);
+    t.push("flags", &f.flags);
+    t.write(&frame_path(folder, "frame", index as usize, "bin"))
+}
+
+/// Reads one frame of the simulation.
+pub fn read_frame(folder: &Path, index: u64) -> Result<PointFrame, Failure> {
+    let path = frame_path(folder, "frame", index as usize, "bin");
+    let mut t = Table::read(&path)?;
+    let bad = |e: String| Failure::Input(format!("{}: {e}; use --force to compute it again", path.display()));
+    let n = t.meta["points"].as_u64().unwrap_or(0) as usize;
+    Ok(PointFrame {
+        time: t.meta["time"].as_f64().unwrap_or(0.0),
+        id: t.take_rows("id", n).map_err(bad)?,
+        position: t.take_rows("position", n).map_err(bad)?,
+        elastic: t.take_rows("elastic", n).map_err(bad)?,
+        total: t.take_rows("total", n).map_err(bad)?,
+        rebase: t.take_rows("rebase", n).map_err(bad)?,
+        normal: t.take_rows("normal", n).map_err(bad)?,
+        temperature: t.take_rows("temperature", n).map_err(bad)?,
+        liquid: t.take_rows("liquid", n).map_err(bad)?,
+        phase: t.take_rows("phase", n).map_err(bad)?,
+        flags: t.take_rows("flags", n).map_err(bad)?,
+    })
+}
+
+/// The ring: the older of the two is overwritten, so one is always whole.
+const CHECKPOINTS: [&str; 2] = ["checkpoint_a.bin", "checkpoint_b.bin"];
+
+fn save_checkpoint(solver: &Solver, folder: &Path) -> Result<(), Failure> {
+    let checkpoint = solver.checkpoint();
+    let meta = serde_json::to_value(&checkpoint).map_err(|e| Failure::Other(e.to_string()))?;
+    let mut t = Table::new(meta);
+    for (k, (_, bytes)) in solver.particles().arrays().into_iter().enumerate() {
+        t.push(&k.to_string(), bytes);
+    }
+    let slot = (solver.frames_done() / CHECKPOINT_EVERY) as usize % 2;
+    t.write(&folder.join(CHECKPOINTS[slot]))
+}
+
+/// Continues from the newest checkpoint that is whole and fits; false starts over.
+fn resume(solver: &mut Solver, folder: &Path) -> bool {
+    let mut candidates: Vec<(Checkpoint, Table)> = CHECKPOINTS
+        .iter()
+        .filter_map(|name| {
+            let mut t = Table::read(&folder.join(name)).ok()?;
+            let meta = serde_json::from_value(t.meta.take()).ok()?;
+            Some((meta, t))
+        })
+        .collect();
+    candidates.sort_by_key(|c| std::cmp::Reverse(c.0.frame));
+    for (checkpoint, mut table) in candidates {
+        let arrays: Vec<Vec<u8>> = (0..).map_while(|k: usize| table.take(&k.to_string()).ok()).collect();
+        let whole = (0..=checkpoint.frame).all(|k| frame_path(folder, "frame", k as usize, "bin").exists());
+        if whole && solver.restore(checkpoint, &arrays).is_ok() {
+            return true;
+        }
+    }
+    false
+}

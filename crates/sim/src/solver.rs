@@ -1,0 +1,372 @@
+//! The master loop: mechanics, phase, heat, checks, export (simulation.md §2.6, §9.3, §10.1).
+
+mod export;
+mod report;
+
+use megas_model::Points;
+use rayon::prelude::*;
+
+use crate::collider::Collider;
+use crate::grid::Grid;
+use crate::material::Material;
+use crate::mechanics::{Mechanics, Report, Settings};
+use crate::particles::{ParticleError, Particles};
+use crate::phase::{PhaseOptions, PhaseRule, scale_deviator};
+use crate::source::HeatSource;
+use crate::thermal::{Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver, Wall};
+
+pub use export::Checkpoint;
+pub use report::{FrameReport, Totals, repaired};
+
+/// Coupling steps after a failure during which the substep stays halved (§9.3).
+const CAUTIOUS_STEPS: u32 = 20;
+/// Failures in a row after which the run stops (§9.3).
+const MAX_FAILURES: u32 = 4;
+/// Courant number of [`Mechanics::time_step`].
+const DEFAULT_COURANT: f64 = 0.4;
+/// Substeps per coupling step above which the run is refused (§2.5).
+const MAX_SUBSTEPS: u64 = 2000;
+
+/// Everything a simulation needs besides its points. SI units, +z up.
+#[derive(Clone, Debug)]
+pub struct SolverConfig {
+    /// The grid of mechanics and heat.
+    pub grid: Grid,
+    /// Materials, thermally accelerated already where that is wanted.
+    pub materials: Vec<Material>,
+    /// Heat sources.
+    pub sources: Vec<HeatSource>,
+    /// Colliders, in the order in which they act.
+    pub colliders: Vec<Collider>,
+    /// Temperature of each collider \[K\]; `None` takes no heat.
+    pub collider_temperature: Vec<Option<f32>>,
+    /// Gravity \[m/s²\].
+    pub gravity: [f64; 3],
+    /// Temperature at which enthalpies are zero: the surroundings \[K\].
+    pub ambient: f64,
+    /// Heat transfer options.
+    pub thermal: ThermalOptions,
+    /// Phase options.
+    pub phase: PhaseOptions,
+    /// Simulated time between frames \[s\], > 0.
+    pub frame_dt: f64,
+    /// Longest coupling step \[s\], > 0.
+    pub coupling_step: f64,
+    /// Courant number C_e of the elastic wave, 0.05–0.7.
+    pub courant: f64,
+    /// False leaves pure conduction in bodies at rest.
+    pub mechanics: bool,
+}
+
+/// Why a simulation could not start or go on.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SimError {
+    /// The points do not fit the scene.
+    #[error(transparent)]
+    Points(#[from] ParticleError),
+    /// The thermal step failed.
+    #[error(transparent)]
+    Thermal(#[from] ThermalError),
+    /// Nothing to simulate.
+    #[error("there is nothing to simulate: {0}")]
+    Empty(String),
+    /// The material is too stiff for the grid.
+    #[error(
+        "the time step would be {dt:.1e} s: {needed} substeps per coupling step are needed and {MAX_SUBSTEPS} allowed; \
+         '{material}' is too stiff or moves too fast for cells of {spacing:.2e} m: make it softer (sag_ratio, youngs_modulus_pa) \
+         or use fewer cells"
+    )]
+    TooStiff {
+        /// Stable step \[s\].
+        dt: f64,
+        /// Substeps needed.
+        needed: u64,
+        /// Stiffest material.
+        material: String,
+        /// Grid spacing \[m\].
+        spacing: f64,
+    },
+    /// Repeated failure in spite of smaller steps.
+    #[error("the simulation became unstable at t = {time:.4} s and four smaller time steps did not help: {what}")]
+    Unstable {
+        /// Simulated time \[s\].
+        time: f64,
+        /// Particle, material and violated limit.
+        what: String,
+    },
+    /// A checkpoint that does not belong to this simulation.
+    #[error("the checkpoint does not fit: {0}")]
+    Checkpoint(String),
+}
+
+/// A running simulation. Deterministic: the state after any frame depends on configuration and points alone, not on the
+/// number of threads nor on interruptions.
+pub struct Solver {
+    config: SolverConfig,
+    particles: Particles,
+    mechanics: Mechanics,
+    thermal: ThermalSolver,
+    rules: Vec<PhaseRule>,
+    walls: Option<Vec<Wall>>,
+    totals: Totals,
+    frame: u64,
+    /// Coupling steps left with a halved substep, and by how much it is halved.
+    cautious: (u32, f64),
+    /// Reference volume of all points and initial mass \[m³\], \[kg\].
+    volume0: f64,
+    xi: Vec<[f64; 3]>,
+    current_volume: Vec<f32>,
+}
+
+impl Solver {
+    /// Prepares a simulation of `points`; their temperatures become enthalpies, their materials laws.
+    pub fn new(config: SolverConfig, points: &Points) -> Result<Self, SimError> {
+        if points.is_empty() {
+            return Err(SimError::Empty("there are no points".into()));
+        }
+        let volume0: f64 = points.volume.iter().map(|&v| f64::from(v)).sum();
+        if volume0 <= 0.0 || !volume0.is_finite() {
+            return Err(SimError::Empty(format!("the points have a volume of {volume0} m³")));
+        }
+        let mut particles = Particles::new(points, &config.grid, &config.materials)?;
+        let thermal = ThermalSolver::new(config.grid, &config.materials, config.ambient, config.thermal);
+        let rules: Vec<PhaseRule> = config.materials.iter().map(|m| PhaseRule::new(m, &config.phase)).collect();
+        for i in 0..particles.len() {
+            let m = particles.material[i];
+            let h = thermal.enthalpy(m, f64::from(points.temperature[i]));
+            particles.enthalpy[i] = h;
+            let (t, f) = (thermal.temperature(m, h), thermal.liquid_fraction(m, h));
+            let rule = &rules[usize::from(m)];
+            let law = rule.initial_law(t, f);
+            particles.liquid[i] = f as f32;
+            particles.phase[i] = rule.initial_phase(t, f);
+            particles.shear[i] = law.mu;
+            particles.yield_stress[i] = law.yield_stress;
+            particles.viscosity[i] = law.viscosity;
+            particles.exponent[i] = law.exponent;
+        }
+        particles.sort();
+        let settings = Settings { gravity: config.gravity, ..Settings::default() };
+        let mechanics = Mechanics::new(&config.grid, settings, config.colliders.clone());
+        let walls = thermal_walls(&config);
+        Ok(Self {
+            particles,
+            mechanics,
+            thermal,
+            rules,
+            walls,
+            totals: Totals::default(),
+            frame: 0,
+            cautious: (0, 1.0),
+            volume0,
+            xi: Vec::new(),
+            current_volume: Vec::new(),
+            config,
+        })
+    }
+
+    /// Gives all points of `object` a velocity \[m/s\]; meant for the start.
+    pub fn set_object_velocity(&mut self, object: u16, velocity: [f32; 3]) {
+        for i in 0..self.particles.len() {
+            if self.particles.object[i] == object {
+                self.particles.set_velocity(i, velocity);
+            }
+        }
+    }
+
+    /// Frames done so far.
+    pub fn frames_done(&self) -> u64 {
+        self.frame
+    }
+
+    /// Simulated time \[s\].
+    pub fn time(&self) -> f64 {
+        self.frame as f64 * self.config.frame_dt
+    }
+
+    /// The points, in the solver's own order.
+    pub fn particles(&self) -> &Particles {
+        &self.particles
+    }
+
+    /// Sums over the whole run.
+    pub fn totals(&self) -> &Totals {
+        &self.totals
+    }
+
+    /// Advances to the next frame. `stop` is asked between coupling steps; if it answers true the state returns to the last
+    /// complete frame and `None` comes back.
+    pub fn advance_frame(&mut self, stop: &dyn Fn() -> bool) -> Result<Option<FrameReport>, SimError> {
+        let steps = (self.config.frame_dt / self.config.coupling_step - 1e-9).ceil().max(1.0) as u64;
+        let dt = self.config.frame_dt / steps as f64;
+        let start = self.time();
+        let at_frame = (self.particles.clone(), self.totals.clone(), self.cautious);
+        let mut report = FrameReport::default();
+        for c in 0..steps {
+            if stop() {
+                (self.particles, self.totals, self.cautious) = at_frame;
+                return Ok(None);
+            }
+            self.coupling_step(start + c as f64 * dt, dt, &mut report)?;
+        }
+        self.frame += 1;
+        report.finish(self.frame, self.time(), &self.particles, self.volume0, &self.config.materials);
+        self.totals.append(&report);
+        Ok(Some(report))
+    }
+
+    /// One exchange between mechanics and heat, repeated with smaller substeps if it fails (§9.3).
+    fn coupling_step(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<(), SimError> {
+        if self.config.mechanics {
+            self.move_points(time, dt, report)?;
+        }
+        self.particles.sort();
+        let audit = self.heat(time, dt)?;
+        report.audit(&audit);
+        self.update_phases();
+        report.coupling_steps += 1;
+        Ok(())
+    }
+
+    fn move_points(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<(), SimError> {
+        let backup = self.particles.clone();
+        let mut failures = 0;
+        loop {
+            let (found, step) = self.substeps(dt)?;
+            let broken = found.repairs.non_finite > 0;
+            // Speeds beyond half a cell per substep are a symptom of a step that is too long; give it the same chances, but
+            // a point that is still too fast after them is real and stays capped.
+            let hasty = found.repairs.capped > 0 && failures < MAX_FAILURES;
+            if !broken && !hasty {
+                report.repairs += found.repairs;
+                report.max_speed = report.max_speed.max(found.max_speed);
+                report.substeps += step.0;
+                report.substep_min = report.substep_min.min(step.1);
+                break;
+            }
+            failures += 1;
+            if failures > MAX_FAILURES {
+                return Err(SimError::Unstable { time, what: self.culprit() });
+            }
+            self.particles = backup.clone();
+            self.cautious = (CAUTIOUS_STEPS, self.cautious.1 * 0.5);
+            report.rollbacks += 1;
+        }
+        if self.cautious.0 > 0 {
+            self.cautious.0 -= 1;
+            if self.cautious.0 == 0 {
+                self.cautious.1 = 1.0;
+            }
+        }
+        Ok(())
+    }
+
+    /// The mechanical substeps of one coupling step: what they found, their number and length.
+    fn substeps(&mut self, dt: f64) -> Result<(Report, (u64, f64)), SimError> {
+        let limit = self.mechanics.time_step(&self.particles, dt);
+        // `time_step` uses the default Courant number.
+        let factor = DEFAULT_COURANT / (self.config.courant * self.cautious.1);
+        let needed = limit.steps as f64 * factor;
+        if !needed.is_finite() || needed > MAX_SUBSTEPS as f64 {
+            let material = self.particles.material.get(limit.stiffest).map(|&m| self.config.materials[usize::from(m)].name.clone());
+            return Err(SimError::TooStiff {
+                dt: dt / needed,
+                needed: needed.ceil().min(1e18) as u64,
+                material: material.unwrap_or_default(),
+                spacing: self.config.grid.spacing,
+            });
+        }
+        let count = needed.ceil().max(1.0) as u64;
+        let substep = dt / count as f64;
+        Ok((self.mechanics.run(&mut self.particles, count as usize, substep), (count, substep)))
+    }
+
+    /// The first point whose state is not a number, in words.
+    fn culprit(&self) -> String {
+        let p = &self.particles;
+        let bad = (0..p.len()).find(|&i| !p.velocity(i).iter().chain(p.elastic(i).iter().flatten()).all(|v| v.is_finite()));
+        match bad {
+            Some(i) => format!(
+                "point {} of material '{}' has velocity {:?} m/s",
+                p.id[i],
+                self.config.materials[usize::from(p.material[i])].name,
+                p.velocity(i)
+            ),
+            None => "velocities are not finite".into(),
+        }
+    }
+
+    /// The thermal exchange of one coupling step.
+    fn heat(&mut self, time: f64, dt: f64) -> Result<Audit, SimError> {
+        let p = &mut self.particles;
+        p.grid_coordinates(&mut self.xi);
+        self.current_volume.resize(p.len(), 0.0);
+        self.current_volume.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, v)| {
+            let j = megas_math::mat3::det(p.elastic(i)).clamp(0.6, 1.4);
+            *v = p.volume[i] * j;
+        });
+        let mut points = ThermalPoints {
+            xi: &self.xi,
+            mass: &p.mass,
+            volume: &self.current_volume,
+            material: &p.material,
+            object: &p.object,
+            h: &mut p.enthalpy,
+            grad_t: &mut p.temperature_gradient,
+        };
+        Ok(self.thermal.step(&mut points, dt, time, &self.config.sources, self.walls.as_deref())?)
+    }
+
+    /// Laws from temperatures (§5.4–5.6).
+    fn update_phases(&mut self) {
+        let p = &mut self.particles;
+        let (thermal, rules) = (&self.thermal, &self.rules);
+        let mut rescaled: Vec<(usize, f32)> = Vec::new();
+        for i in 0..p.len() {
+            let m = p.material[i];
+            let h = p.enthalpy[i];
+            let (t, f) = (thermal.temperature(m, h), thermal.liquid_fraction(m, h));
+            let update = rules[usize::from(m)].update(t, f, p.phase[i], p.shear[i]);
+            p.liquid[i] = f as f32;
+            p.phase[i] = update.phase;
+            p.shear[i] = update.law.mu;
+            p.yield_stress[i] = update.law.yield_stress;
+            p.viscosity[i] = update.law.viscosity;
+            p.exponent[i] = update.law.exponent;
+            if update.strain_factor != 1.0 {
+                rescaled.push((i, update.strain_factor));
+            }
+            if update.frozen {
+                p.plastic_strain[i] = 0.0;
+            }
+        }
+        let particles = &*p;
+        let changed: Vec<_> = rescaled.par_iter().map(|&(i, factor)| (i, scale_deviator(particles.elastic(i), factor).0)).collect();
+        for (i, after) in changed {
+            let before = p.elastic(i);
+            p.record_rebase(i, before, after);
+            p.set_elastic(i, after);
+        }
+    }
+}
+
+/// Nodes inside colliders, for the heat.
+fn thermal_walls(config: &SolverConfig) -> Option<Vec<Wall>> {
+    if config.colliders.is_empty() {
+        return None;
+    }
+    let grid = &config.grid;
+    let node_wall = |index: usize| {
+        let x = grid.position(grid.node(index));
+        for (k, c) in config.colliders.iter().enumerate() {
+            if c.shape.distance(x).0 < 0.0 {
+                return match config.collider_temperature.get(k).copied().flatten() {
+                    Some(t) => Wall::Fixed(t),
+                    None => Wall::Adiabatic,
+                };
+            }
+        }
+        Wall::Open
+    };
+    Some((0..grid.len()).into_par_iter().map(node_wall).collect())
+}
