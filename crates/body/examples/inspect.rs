@@ -11,7 +11,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [file, up, rest @ ..] = args.as_slice() else { return Err("usage: inspect FILE UPX,UPY,UPZ [FOLDER]".into()) };
     let up: Vec<f64> = up.split(',').map(str::parse).collect::<Result<_, _>>()?;
     let up: [f64; 3] = up.try_into().map_err(|_| "three components for up")?;
-    let loaded = megas_formats::read_splats(&PathBuf::from(file))?;
+    let loaded = megas_formats::load_splats(&PathBuf::from(file))?;
     let settings = BodySettings {
         selection: Selection::All,
         placement: Placement::Size { up, size_m: 0.1, cells: 48 },

@@ -8,11 +8,14 @@ use rayon::prelude::*;
 
 use crate::background;
 use crate::bake::{BakeReport, SplitReport, bake, split_needles};
-use crate::fill::{FillReport, FillSettings, Filling, Shell, fill};
+use crate::fill::{FillReport, FillSettings, Filling, Shell, attach, fill};
 use crate::neighbours::Neighbours;
-use crate::orient::{OrientReport, OrientSettings, orient_from, visibility};
+use crate::orient::{OrientReport, OrientSettings, orient_from, visibility, wall_normals};
 use crate::select::{RobustBox, SelectReport, Selection, robust_bounds, select};
 use crate::volumes::{VolumeReport, VolumeSettings, particles};
+
+/// Gaussians that some pixel sees with this blend weight are skin to which the body must reach.
+const SKIN_WEIGHT: f32 = 0.1;
 
 /// Where the metres come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -260,11 +263,11 @@ pub fn build_body(splats: &Splats, settings: &BodySettings) -> Result<Body, Body
     report.orient = OrientReport { resolution: seen.1, ..orient_from(&mut surface, &seen.0, &settings.orient) };
     clock.lap("orient", &mut report);
 
-    let shell = Shell::<f32>::new(&surface, similarity.rotation, similarity.origin);
+    let normals = wall_normals(&surface, &seen.0, settings.orient.neighbours);
+    let shell = Shell::<f32>::new(&surface, &normals, similarity.rotation, similarity.origin);
+    let to_scene = |y: Vec3<f64>| vec3::add(mat3::tmul_vec(similarity.rotation, y), similarity.origin);
     let (min, max) = fill_box(&surface, &frame);
-    let filling = fill(&shell, min, max, frame.dx, &settings.fill);
-    report.fill = filling.report.clone();
-    clock.lap("fill", &mut report);
+    let mut filling = fill(&shell, min, max, frame.dx, &settings.fill, |y| seen.0.hidden(vec3::cast(to_scene(y))));
     if filling.report.interior == 0 {
         return Err(BodyError::Hollow {
             spacing_m: filling.grid.spacing * similarity.metres_per_unit,
@@ -272,9 +275,16 @@ pub fn build_body(splats: &Splats, settings: &BodySettings) -> Result<Body, Body
             inconsistent: 100.0 * report.orient.inconsistent,
         });
     }
-
     let local = |m: Vec3<f32>| mat3::mul_vec(similarity.rotation, vec3::sub(vec3::cast(m), similarity.origin));
     let centres: Vec<Vec3<f64>> = surface.mean.iter().map(|&m| local(m)).collect();
+    let skin: Vec<(Vec3<f64>, Vec3<f64>)> = (0..surface.len())
+        .filter(|&i| seen.0.w_max[i] >= SKIN_WEIGHT && normals[i] != [0.0; 3])
+        .map(|i| (centres[i], mat3::mul_vec(similarity.rotation, vec3::cast(normals[i]))))
+        .collect();
+    attach(&mut filling, &skin);
+    report.fill = filling.report.clone();
+    clock.lap("fill", &mut report);
+
     let placed = particles(&filling, &centres, &settings.volumes, settings.seed);
     report.volumes = placed.report;
     report.volume_m3 = placed.report.classified * similarity.metres_per_unit.powi(3);
@@ -408,8 +418,7 @@ fn see(
         }
         if report.unseen > 0 {
             *surface = surface.select(&keep);
-            seen.vote = keep.iter().map(|&i| seen.vote[i]).collect();
-            seen.w_max = keep.iter().map(|&i| seen.w_max[i]).collect();
+            seen.retain(&keep);
         }
     }
     Ok((seen, resolution))

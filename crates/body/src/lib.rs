@@ -5,10 +5,11 @@ pub mod background;
 pub mod bake;
 mod body;
 pub mod fill;
-mod neighbours;
+pub mod neighbours;
 pub mod orient;
 mod polygon;
 pub mod select;
 pub mod volumes;
 
 pub use body::{Body, BodyError, BodyReport, BodySettings, Internal, Placement, SplitSettings, build_body};
+pub use select::{Selection, select};

@@ -4,7 +4,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use megas_math::Vec3;
 
 /// A k-d tree over a fixed set of points; items are indices into that set.
-pub(crate) struct Neighbours {
+pub struct Neighbours {
     tree: ImmutableKdTree<f32, 3>,
 }
 

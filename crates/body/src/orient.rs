@@ -3,30 +3,30 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use megas_math::{Mat3, Vec3, mat3, vec3};
-use megas_model::{Splats, fibonacci_directions};
+use megas_math::{Vec3, mat3, vec3};
+use megas_model::{Camera, Splats, fibonacci_directions};
+use megas_raster::{self as raster, Channels, Frame, Gaussians, NO_GAUSSIAN, Rasterizer};
 use rayon::prelude::*;
 
-use crate::fill::columns::sweep;
-use crate::fill::{Grid, Shell};
 use crate::neighbours::Neighbours;
+
+/// A Gaussian is part of the skin if some pixel sees it through at least this transmittance.
+const FRONT_LAYER: f32 = 0.8;
 
 /// Options of the vote.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrientSettings {
-    /// Number of virtual orthographic views, even, 16–256. Each line of sight serves two opposite views.
+    /// Number of virtual orthographic views, 16–256.
     pub views: usize,
-    /// Rays per side of a view; by default from the spacing of the Gaussians, within 128–512 (§7.1).
+    /// Pixels per side of a view; by default from the size of the Gaussians, within 128–512 (§7.1).
     pub resolution: Option<usize>,
-    /// Only contributions with more transmittance than this before them may vote; 0.5 by default.
-    pub gate: f32,
     /// Neighbours of the graph along which signs spread; 10 by default.
     pub neighbours: usize,
 }
 
 impl Default for OrientSettings {
     fn default() -> Self {
-        Self { views: 64, resolution: None, gate: 0.5, neighbours: 10 }
+        Self { views: 64, resolution: None, neighbours: 10 }
     }
 }
 
@@ -43,91 +43,79 @@ pub struct OrientReport {
     pub inconsistent: f64,
     /// The same fraction among flat, parallel neighbours only (`S³ < 0.5 S²`, within 60° as lines), where it means an error.
     pub inconsistent_flat: f64,
-    /// Rays per side of a view.
+    /// Pixels per side of a view.
     pub resolution: usize,
 }
 
 /// What all views together saw of each Gaussian.
 #[derive(Clone, Debug, Default)]
 pub struct Visibility {
-    /// Σ over the front-layer contributions of weight × direction to the viewer.
+    /// Σ over the contributions with T > 0.5 before them of weight × direction to the viewer.
     pub vote: Vec<Vec3<f32>>,
-    /// Largest blend weight α T over all rays.
+    /// Largest blend weight α T over all pixels.
     pub w_max: Vec<f32>,
+    /// The views, for asking what they can see.
+    views: Vec<DepthView>,
 }
 
-/// Looks at the Gaussians from all sides with parallel rays, depth-sorted exactly on every ray, with the rasterizer's
-/// low-pass of 0.3 px² so that no Gaussian falls between the rays.
+/// How far one view sees.
+#[derive(Clone, Debug)]
+struct DepthView {
+    camera: Camera,
+    /// Depth of the Gaussian with the largest weight, +∞ where less than half of the light is stopped.
+    depth: Vec<f32>,
+}
+
+impl Visibility {
+    /// True where every view is blocked before it reaches the scene point `x`.
+    pub fn hidden(&self, x: Vec3<f32>) -> bool {
+        !self.views.is_empty()
+            && self.views.iter().all(|v| {
+                let p = v.camera.to_camera(x);
+                let [u, w] = v.camera.project(p);
+                let inside = u >= 0.0 && w >= 0.0 && u < v.camera.width as f32 && w < v.camera.height as f32;
+                inside && p[2] > v.depth[w as usize * v.camera.width as usize + u as usize]
+            })
+    }
+
+    /// Keeps the Gaussians at `indices`.
+    pub(crate) fn retain(&mut self, indices: &[usize]) {
+        self.vote = indices.iter().map(|&i| self.vote[i]).collect();
+        self.w_max = indices.iter().map(|&i| self.w_max[i]).collect();
+    }
+}
+
+/// Looks at the Gaussians from all sides with orthographic cameras on a Fibonacci sphere (§7.1). Also returns the
+/// resolution used.
 pub fn visibility(splats: &Splats, settings: &OrientSettings) -> (Visibility, usize) {
     let n = splats.len();
-    let mut seen = Visibility { vote: vec![[0.0; 3]; n], w_max: vec![0.0; n] };
+    let mut seen = Visibility { vote: vec![[0.0; 3]; n], w_max: vec![0.0; n], views: Vec::new() };
     let Some((center, radius)) = ball(splats) else { return (seen, 0) };
     let half = 1.05 * radius;
     let resolution = settings.resolution.unwrap_or_else(|| default_resolution(splats, half)).clamp(16, 4096);
-    let pixel = 2.0 * half / resolution as f64;
-    // Both ends of one line are views, so that half as many sweeps do.
-    let lines: Vec<Vec3<f32>> = fibonacci_directions(2 * settings.views.div_ceil(2)).into_iter().take(settings.views.div_ceil(2)).collect();
-    for batch in lines.chunks(8) {
-        let parts: Vec<[Vec<f32>; 3]> =
-            batch.par_iter().map(|&d| look_along(splats, center, d, half, pixel, resolution, settings.gate)).collect();
-        for (d, [up, down, w_max]) in batch.iter().zip(parts) {
-            seen.vote.par_iter_mut().zip(&mut seen.w_max).enumerate().for_each(|(i, (v, w))| {
-                // `up` was seen by a viewer far along +d, so that +d points to the viewer.
-                *v = vec3::add_scaled(*v, *d, up[i] - down[i]);
-                *w = w.max(w_max[i]);
-            });
+    let center: Vec3<f32> = vec3::cast(center);
+    // Far enough for every mean to be in front of the camera; nothing else depends on the distance.
+    let far = splats.mean.iter().map(|&m| vec3::norm(vec3::sub(m, center))).filter(|d| d.is_finite()).fold(half as f32, f32::max);
+    let image = raster::Settings { z_near: 0.0, ..raster::Settings::default() };
+    let gaussians = Gaussians::from_splats(splats);
+    let mut rasterizer = Rasterizer::new();
+    let mut frame = Frame::default();
+    for d in fibonacci_directions(settings.views) {
+        // Any direction across will do as the image's up.
+        let up = vec3::frame_from_normal(d).1;
+        let side = resolution as u32;
+        let camera = Camera::orthographic(center, d.map(|v| -v), up, half as f32, 2.0 * far, side, side);
+        rasterizer.render(&gaussians, &camera, &image, Channels::Weights, &mut frame);
+        for i in 0..n {
+            seen.vote[i] = vec3::add(seen.vote[i], frame.statistics.votes[i]);
+            seen.w_max[i] = seen.w_max[i].max(frame.statistics.w_max[i]);
         }
+        let depth = |(&i, &t): (&u32, &f32)| {
+            if t <= 0.5 && i != NO_GAUSSIAN { camera.to_camera(splats.mean[i as usize])[2] } else { f32::INFINITY }
+        };
+        seen.views.push(DepthView { camera, depth: frame.argmax.iter().zip(&frame.transmittance).map(depth).collect() });
     }
     (seen, resolution)
-}
-
-/// Front-layer weights seen from +d, from −d, and the largest weight of either.
-fn look_along(splats: &Splats, center: Vec3<f64>, d: Vec3<f32>, half: f64, pixel: f64, resolution: usize, gate: f32) -> [Vec<f32>; 3] {
-    let z: Vec3<f64> = vec3::cast(d);
-    let (x, y) = vec3::frame_from_normal(z);
-    let rotation: Mat3<f64> = [x, y, z];
-    let mut shell = Shell::<f32>::default();
-    let mut index = Vec::with_capacity(splats.len());
-    push_all(&mut shell, &mut index, splats, rotation, center, (0.3 * pixel * pixel) as f32);
-    let grid = Grid { origin: [-half, -half, 0.0], spacing: pixel, dims: [resolution, resolution, 1] };
-    let mut out = [vec![0.0; splats.len()], vec![0.0; splats.len()], vec![0.0f32; splats.len()]];
-    sweep(&shell, &grid, 2, |hits| {
-        for side in 0..2 {
-            let mut through = 1.0f32;
-            for k in 0..hits.len() {
-                let h = &hits[if side == 0 { hits.len() - 1 - k } else { k }];
-                let i = index[h.item as usize] as usize;
-                let w = h.alpha * through;
-                if through > gate {
-                    out[side][i] += w;
-                }
-                out[2][i] = out[2][i].max(w);
-                through *= 1.0 - h.alpha;
-                if through < 1e-3 {
-                    break;
-                }
-            }
-        }
-    });
-    out
-}
-
-/// The Gaussians in a view's frame, widened by the low-pass.
-fn push_all(shell: &mut Shell<f32>, index: &mut Vec<u32>, splats: &Splats, rotation: Mat3<f64>, center: Vec3<f64>, low_pass: f32) {
-    let r: Mat3<f32> = mat3::cast(rotation);
-    for i in 0..splats.len() {
-        let opacity = splats.opacity(i);
-        let mut cov = mat3::congruence(r, splats.covariance(i));
-        for k in 0..2 {
-            cov[k][k] += low_pass;
-        }
-        let usable = opacity > 1.0 / 255.0 && cov.iter().flatten().all(|v| v.is_finite());
-        let mean = mat3::mul_vec(rotation, vec3::sub(vec3::cast(splats.mean[i]), center));
-        if usable && mean.iter().all(|v| v.is_finite()) {
-            shell.push(vec3::cast(mean), cov, [0.0; 3], opacity);
-            index.push(i as u32);
-        }
-    }
 }
 
 /// Centre and radius of the ball around the robust box.
@@ -204,6 +192,43 @@ pub fn orient_from(splats: &mut Splats, seen: &Visibility, settings: &OrientSett
     report.inconsistent = bad as f64 / all.max(1) as f64;
     report.inconsistent_flat = bad_flat as f64 / all_flat.max(1) as f64;
     report
+}
+
+/// Normals for the interior test, in scene axes; zero for Gaussians under the skin.
+///
+/// The design takes the oriented shortest axis of every Gaussian. That holds for shells trained to be flat and free of an
+/// interior. Imported splats have layers of buried Gaussians with arbitrary axes, which a ray from inside meets first; and
+/// many of their Gaussians are not flat. So: who is not part of the front layer anywhere (`w_max < 0.8 o`) keeps its
+/// opacity but gets no say; the others mean their axis as far as they are flat and the direction they are seen from as
+/// far as they are not, averaged over the neighbours that are seen from the same side.
+pub fn wall_normals(splats: &Splats, seen: &Visibility, neighbours: usize) -> Vec<Vec3<f32>> {
+    let n = splats.len();
+    let mut out = vec![[0.0; 3]; n];
+    let front: Vec<usize> = (0..n).filter(|&i| seen.w_max[i] >= FRONT_LAYER * splats.opacity(i).min(0.99)).collect();
+    let own: Vec<Vec3<f32>> = front
+        .iter()
+        .map(|&i| {
+            let mut s = splats.log_scale[i];
+            s.sort_by(f32::total_cmp);
+            let axis = splats.normal(i);
+            let view = vec3::normalize_or(seen.vote[i], axis);
+            vec3::normalize_or(vec3::lerp(axis, view, (s[0] - s[1]).exp()), view)
+        })
+        .collect();
+    let Some(tree) = Neighbours::new(&front.iter().map(|&i| splats.mean[i]).collect::<Vec<_>>()) else { return out };
+    let smooth: Vec<Vec3<f32>> = (0..front.len())
+        .into_par_iter()
+        .map(|f| {
+            let vote = seen.vote[front[f]];
+            let near = tree.nearest(&splats.mean[front[f]], neighbours);
+            let same = near.iter().map(|&(j, _)| j as usize).filter(|&j| vec3::dot(vote, seen.vote[front[j]]) >= 0.0);
+            vec3::normalize_or(same.fold([0.0; 3], |sum, j| vec3::add(sum, own[j])), own[f])
+        })
+        .collect();
+    for (&i, &v) in front.iter().zip(&smooth) {
+        out[i] = v;
+    }
+    out
 }
 
 /// The `k` nearest neighbours of every Gaussian, itself excluded.

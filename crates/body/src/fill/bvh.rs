@@ -74,7 +74,9 @@ impl<'a, T: Real> Bvh<'a, T> {
     pub fn trace(&self, origin: Vec3<T>, direction: Vec3<T>, cap: Option<&Cap>, hits: &mut Vec<RayHit<T>>) -> Blend<T> {
         hits.clear();
         let inverse = direction.map(|d| T::one() / d);
-        let mut stack = [0u32; 64];
+        // A split leaves at least a sixteenth of the items on either side, so that the depth stays below 250 for any set
+        // that fits into memory.
+        let mut stack = [0u32; 256];
         let mut top = usize::from(!self.nodes.is_empty());
         while top > 0 {
             top -= 1;
@@ -83,8 +85,6 @@ impl<'a, T: Real> Bvh<'a, T> {
                 continue;
             }
             if node.count == 0 {
-                // Splits halve at worst after a run of uneven ones; 64 entries hold any tree that fits into memory
-                // because a split that leaves less than one item in 16 on a side falls back to the median.
                 stack[top] = node.first;
                 stack[top + 1] = node.first + 1;
                 top += 2;

@@ -52,15 +52,13 @@ const fn axes(k: usize) -> (usize, usize) {
 
 /// One Gaussian met by a column.
 #[derive(Clone, Copy)]
-pub(crate) struct Hit<T> {
+struct Hit<T> {
     /// Coordinate along the column of the closest approach.
-    pub t: T,
+    t: T,
     /// Opacity there.
-    pub alpha: T,
+    alpha: T,
     /// Component of the outward normal along the column.
-    pub normal: T,
-    /// Index of the Gaussian, `u32::MAX` for the cap.
-    pub item: u32,
+    normal: T,
 }
 
 /// Casts the rays of every grid point along ±`axis` (0–2) and returns `visit(point index, rays)` for each, in the order
@@ -73,7 +71,8 @@ pub fn cast_axis<T: Real, V: Copy + Default + Send + Sync>(
     visit: impl Fn(usize, Pair<T>) -> V + Sync,
 ) -> Vec<V> {
     let (a, b) = axes(axis);
-    let marginals: Vec<Marginal<T>> = (0..shell.len()).into_par_iter().map(|i| marginal(shell, i, grid, (axis, a, b))).collect();
+    let order = by_depth(shell, axis);
+    let marginals: Vec<Marginal<T>> = order.par_iter().map(|&i| marginal(shell, i, grid, (axis, a, b))).collect();
     let (start, list) = rows_of(&marginals, grid.dims[b]);
 
     let [nx, ny, nz] = grid.dims;
@@ -122,24 +121,18 @@ pub fn cast_axis<T: Real, V: Copy + Default + Send + Sync>(
     sorted
 }
 
-/// Calls `visit` with the sorted hits of every column along `axis` that has any, row by row, on this thread.
-pub(crate) fn sweep<T: Real>(shell: &Shell<T>, grid: &Grid, axis: usize, mut visit: impl FnMut(&[Hit<T>])) {
-    let (a, b) = axes(axis);
-    let marginals: Vec<Marginal<T>> = (0..shell.len()).map(|i| marginal(shell, i, grid, (axis, a, b))).collect();
-    let (start, list) = rows_of(&marginals, grid.dims[b]);
-    let mut scratch = RowScratch::default();
-    for row in 0..grid.dims[b] {
-        scratch.collect(&marginals, &list[start[row]..start[row + 1]], grid, (axis, a, b), row, None);
-        for i_a in 0..grid.dims[a] {
-            scratch.sort_column(i_a);
-            if !scratch.column.is_empty() {
-                visit(&scratch.column);
-            }
-        }
-    }
+/// All Gaussians by the coordinate of their centres along `axis`.
+fn by_depth<T: Real>(shell: &Shell<T>, axis: usize) -> Vec<u32> {
+    let mut order: Vec<u32> = (0..shell.len() as u32).collect();
+    order.sort_by(|&p, &q| {
+        let (x, y) = (shell.mean[p as usize][axis], shell.mean[q as usize][axis]);
+        x.partial_cmp(&y).unwrap_or(std::cmp::Ordering::Equal)
+    });
+    order
 }
 
-fn marginal<T: Real>(shell: &Shell<T>, i: usize, grid: &Grid, (k, a, b): (usize, usize, usize)) -> Marginal<T> {
+fn marginal<T: Real>(shell: &Shell<T>, item: u32, grid: &Grid, (k, a, b): (usize, usize, usize)) -> Marginal<T> {
+    let i = item as usize;
     let (m, c) = (shell.mean[i], shell.covariance[i]);
     let det = c[a][a] * c[b][b] - c[a][b] * c[a][b];
     let inverse = [c[b][b] / det, -c[a][b] / det, c[a][a] / det];
@@ -239,7 +232,7 @@ impl<T: Real> RowScratch<T> {
                 let alpha = (m.opacity * (half * d2).exp()).min(alpha_max);
                 if alpha >= alpha_min {
                     let t = m.mean[0] + m.slope[0] * dx + m.slope[1] * dy;
-                    self.found.push(Hit { t, alpha, normal: m.normal, item: i });
+                    self.found.push(Hit { t, alpha, normal: m.normal });
                     self.found_column.push(column);
                 }
             }
@@ -247,7 +240,7 @@ impl<T: Real> RowScratch<T> {
         if let (2, Some(cap)) = (k, cap) {
             for column in 0..grid.dims[a] {
                 if cap.covers(grid.coordinate(a, column), grid.coordinate(b, row)) {
-                    self.found.push(Hit { t: T::of(cap.height), alpha: T::one(), normal: -T::one(), item: u32::MAX });
+                    self.found.push(Hit { t: T::of(cap.height), alpha: T::one(), normal: -T::one() });
                     self.found_column.push(column as u32);
                 }
             }
@@ -265,7 +258,7 @@ impl<T: Real> RowScratch<T> {
             self.start[c + 1] += self.start[c];
         }
         self.sorted.clear();
-        self.sorted.resize(self.found.len(), Hit { t: T::zero(), alpha: T::zero(), normal: T::zero(), item: 0 });
+        self.sorted.resize(self.found.len(), Hit { t: T::zero(), alpha: T::zero(), normal: T::zero() });
         for (h, &c) in self.found.iter().zip(&self.found_column) {
             // `start[c]` runs ahead while filling and ends where column c + 1 begins.
             self.sorted[self.start[c as usize] as usize] = *h;
@@ -279,7 +272,16 @@ impl<T: Real> RowScratch<T> {
         let hits = &self.sorted[first..self.start[column] as usize];
         self.column.clear();
         self.column.extend_from_slice(hits);
-        self.column.sort_unstable_by(|p, q| p.t.partial_cmp(&q.t).unwrap_or(std::cmp::Ordering::Equal).then(p.item.cmp(&q.item)));
+        // Gaussians arrive by the depth of their centres, so that their hits are nearly sorted: insertion wins.
+        for i in 1..self.column.len() {
+            let h = self.column[i];
+            let mut j = i;
+            while j > 0 && self.column[j - 1].t > h.t {
+                self.column[j] = self.column[j - 1];
+                j -= 1;
+            }
+            self.column[j] = h;
+        }
     }
 
     /// Accumulates the sorted column from both ends: `up[g]` blends the hits `g..`, `down[g]` the hits `..g` from the

@@ -1,5 +1,6 @@
 //! Ray-traced internal filling (splatting.md §6.3–§6.6): which grid points lie inside the object.
 
+mod attach;
 pub mod bvh;
 pub mod cleanup;
 pub mod columns;
@@ -9,9 +10,15 @@ mod shell;
 use megas_math::{Real, Vec3};
 use rayon::prelude::*;
 
+pub use attach::attach;
 pub use cleanup::CleanupReport;
 pub use grid::Grid;
 pub use shell::{ALPHA_MAX, ALPHA_MIN, Blend, Cap, Shell};
+
+/// Fraction of interior points without a floor from which the automatic cap acts.
+const OPEN_BOTTOM: f64 = 0.25;
+/// The automatic cap reaches this many columns beyond those with interior points.
+const CAP_REACH: usize = 4;
 
 /// Opacity from which a ray counts as stopped by a wall (splatting.md §6.5).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +43,7 @@ pub enum Directions {
 pub enum BottomCap {
     /// Not at all.
     Off,
-    /// At the lowest surface, if more than 5 % of the interior points see nothing below them.
+    /// At the lowest surface, if more than a quarter of the interior points have nothing below them.
     Auto,
     /// At this height along the up axis, in units of the filling frame.
     At(f64),
@@ -70,13 +77,17 @@ pub struct FillReport {
     pub tau_alpha: f32,
     /// Interior points after the vote, before the clean-up.
     pub voted: usize,
+    /// Of these, points that are inside only because no view reaches them.
+    pub occluded: usize,
     /// Interior points after the clean-up.
     pub interior: usize,
+    /// Points between a faint skin and the body below it, added by [`attach`].
+    pub attached: usize,
     /// Points one vote short of the majority: a leaky shell has many of them.
     pub one_short: usize,
     /// What the clean-up changed.
     pub cleanup: CleanupReport,
-    /// Fraction of the voted points that see no wall below them.
+    /// Fraction of the voted points with no wall below them, before any cap.
     pub open_bottom: f64,
     /// Height of the virtual cap in the filling frame, where one was used.
     pub cap_height: Option<f64>,
@@ -110,7 +121,17 @@ impl Filling {
 
 /// Classifies the grid points around the shell (`min`, `max`: the box of its means that matter). `dx` is the cell of the
 /// simulator: the particle lattice has half of it, and cells align with multiples of `dx` through the frame's origin.
-pub fn fill<T: Real>(shell: &Shell<T>, min: Vec3<f64>, max: Vec3<f64>, dx: f64, settings: &FillSettings) -> Filling {
+///
+/// `hidden` says of a point whether no view from outside reaches it; such points are inside whatever the normals say. (The
+/// paper's test relies on normals alone, and leaves holes between the layers under the skin of imported splats.)
+pub fn fill<T: Real>(
+    shell: &Shell<T>,
+    min: Vec3<f64>,
+    max: Vec3<f64>,
+    dx: f64,
+    settings: &FillSettings,
+    hidden: impl Fn(Vec3<f64>) -> bool + Sync,
+) -> Filling {
     let spacing = typical_spacing(shell);
     let mut refinements = 0;
     loop {
@@ -118,7 +139,7 @@ pub fn fill<T: Real>(shell: &Shell<T>, min: Vec3<f64>, max: Vec3<f64>, dx: f64, 
         let delta = 0.5 * dx / per_particle as f64;
         // Two cells of air on each side let the clean-up walk around the object.
         let grid = Grid::covering(min, max, 2.0 * delta + 0.5 * spacing, delta, 2 * per_particle);
-        let mut filling = classify(shell, grid, settings);
+        let mut filling = classify(shell, grid, settings, &hidden);
         filling.per_particle = per_particle;
         filling.report.refinements = refinements;
         let done = filling.report.points_across >= 3.0 || refinements >= settings.max_refinements;
@@ -129,42 +150,57 @@ pub fn fill<T: Real>(shell: &Shell<T>, min: Vec3<f64>, max: Vec3<f64>, dx: f64, 
     }
 }
 
-/// Classifies the points of a given grid.
-pub fn classify<T: Real>(shell: &Shell<T>, grid: Grid, settings: &FillSettings) -> Filling {
-    let fixed = match settings.tau_alpha {
+/// Classifies the points of a given grid, see [`fill`].
+pub fn classify<T: Real>(shell: &Shell<T>, grid: Grid, settings: &FillSettings, hidden: impl Fn(Vec3<f64>) -> bool + Sync) -> Filling {
+    let mut tau = match settings.tau_alpha {
         TauAlpha::Fixed(v) => v,
         TauAlpha::Auto => 0.5,
     };
-    let mut tau = fixed;
     let mut cap = match settings.cap {
-        BottomCap::At(height) => cap_at(shell, &grid, height),
+        BottomCap::At(height) => cap_at(shell, &grid, height, None),
         BottomCap::Off | BottomCap::Auto => None,
     };
-    let mut masks = cast_axes(shell, &grid, cap.as_ref(), tau, settings.tau_n);
+    let mut rays = cast_axes(shell, &grid, cap.as_ref(), tau, settings.tau_n);
     if settings.tau_alpha == TauAlpha::Auto {
-        tau = auto_tau(shell, &grid, cap.as_ref(), &masks);
-        masks = cast_axes(shell, &grid, cap.as_ref(), tau, settings.tau_n);
+        tau = auto_tau(shell, &grid, cap.as_ref(), &rays);
+        rays = cast_axes(shell, &grid, cap.as_ref(), tau, settings.tau_n);
     }
-    let open_bottom = open_fraction(&masks);
-    if settings.cap == BottomCap::Auto && open_bottom > 0.05 {
-        cap = lowest(shell).and_then(|height| cap_at(shell, &grid, height));
+    let open_bottom = open_fraction(&rays);
+    if settings.cap == BottomCap::Auto && open_bottom > OPEN_BOTTOM {
+        cap = lowest(shell).and_then(|height| cap_at(shell, &grid, height, Some(&rays)));
         if cap.is_some() {
             let vertical = cast_one(shell, &grid, 2, cap.as_ref(), tau, settings.tau_n);
-            masks.par_iter_mut().zip(vertical).for_each(|(m, v)| *m = (*m & 0b1111) | v);
+            let keep = |old: u8, new: u8| old & 0b1111 | new;
+            rays.par_iter_mut().zip(vertical).for_each(|(r, v)| *r = Rays { votes: keep(r.votes, v.votes), walls: keep(r.walls, v.walls) });
         }
     }
-    let (votes, threshold) = match settings.directions {
-        Directions::Axes => (masks.par_iter().map(|m| m.count_ones() as u8).collect::<Vec<u8>>(), 4),
-        Directions::AxesAndDiagonals => (with_diagonals(shell, &grid, cap.as_ref(), tau, settings.tau_n, &masks), 8),
+    let (mut votes, threshold) = match settings.directions {
+        Directions::Axes => (rays.par_iter().map(|r| r.votes.count_ones() as u8).collect::<Vec<u8>>(), 4),
+        Directions::AxesAndDiagonals => (with_diagonals(shell, &grid, cap.as_ref(), tau, settings.tau_n, &rays), 8),
     };
+    let one_short = votes.iter().filter(|&&v| v + 1 == threshold).count();
+    // Above the threshold: the majority filter is for votes that were close.
+    let occluded: usize = votes
+        .par_iter_mut()
+        .enumerate()
+        .map(|(i, v)| {
+            let raise = *v < threshold && hidden(grid.center(grid.cell(i)));
+            if raise {
+                *v = threshold + 1;
+            }
+            usize::from(raise)
+        })
+        .sum();
     let mut inside: Vec<bool> = votes.iter().map(|&v| v >= threshold).collect();
     let voted = inside.iter().filter(|&&v| v).count();
     let cleanup = cleanup::clean(&grid, &mut inside, &votes, threshold);
     let report = FillReport {
         tau_alpha: tau,
         voted,
+        occluded,
+        attached: 0,
         interior: inside.iter().filter(|&&v| v).count(),
-        one_short: votes.iter().filter(|&&v| v + 1 == threshold).count(),
+        one_short,
         cleanup,
         open_bottom,
         cap_height: cap.map(|c| c.height),
@@ -180,35 +216,45 @@ fn interior_ray<T: Real>(alpha: T, facing: T, tau_alpha: T, tau_n: T) -> bool {
     alpha >= tau_alpha && facing > tau_n * alpha
 }
 
-/// Bits of both directions along one axis: bit `2·axis` towards +, bit `2·axis + 1` towards −.
-fn cast_one<T: Real>(shell: &Shell<T>, grid: &Grid, axis: usize, cap: Option<&Cap>, tau: f32, tau_n: f32) -> Vec<u8> {
+/// What the six axis rays of a point found.
+#[derive(Clone, Copy, Debug, Default)]
+struct Rays {
+    /// Interior votes: bit `2·axis` towards +, bit `2·axis + 1` towards −.
+    votes: u8,
+    /// Rays that met a wall, whatever its normal; same bits.
+    walls: u8,
+}
+
+/// Casts both directions along one axis.
+fn cast_one<T: Real>(shell: &Shell<T>, grid: &Grid, axis: usize, cap: Option<&Cap>, tau: f32, tau_n: f32) -> Vec<Rays> {
     let (tau, tau_n) = (T::of(f64::from(tau)), T::of(f64::from(tau_n)));
     columns::cast_axis(shell, grid, axis, cap, |_, p| {
         let up = interior_ray(p.alpha_up, p.facing_up, tau, tau_n);
         let down = interior_ray(p.alpha_down, p.facing_down, tau, tau_n);
-        (u8::from(up) | u8::from(down) << 1) << (2 * axis)
+        let walls = u8::from(p.alpha_up >= tau) | u8::from(p.alpha_down >= tau) << 1;
+        Rays { votes: (u8::from(up) | u8::from(down) << 1) << (2 * axis), walls: walls << (2 * axis) }
     })
 }
 
-fn cast_axes<T: Real>(shell: &Shell<T>, grid: &Grid, cap: Option<&Cap>, tau: f32, tau_n: f32) -> Vec<u8> {
-    let mut masks = cast_one(shell, grid, 0, cap, tau, tau_n);
+fn cast_axes<T: Real>(shell: &Shell<T>, grid: &Grid, cap: Option<&Cap>, tau: f32, tau_n: f32) -> Vec<Rays> {
+    let mut rays = cast_one(shell, grid, 0, cap, tau, tau_n);
     for axis in 1..3 {
         let more = cast_one(shell, grid, axis, cap, tau, tau_n);
-        masks.par_iter_mut().zip(more).for_each(|(m, v)| *m |= v);
+        rays.par_iter_mut().zip(more).for_each(|(r, m)| *r = Rays { votes: r.votes | m.votes, walls: r.walls | m.walls });
     }
-    masks
+    rays
 }
 
 /// `0.6 ×` the 10 % quantile of A over the rays of the points with all six votes.
-fn auto_tau<T: Real>(shell: &Shell<T>, grid: &Grid, cap: Option<&Cap>, masks: &[u8]) -> f32 {
+fn auto_tau<T: Real>(shell: &Shell<T>, grid: &Grid, cap: Option<&Cap>, rays: &[Rays]) -> f32 {
     let mut histogram = [0usize; 256];
     for axis in 0..3 {
         let levels = columns::cast_axis(shell, grid, axis, cap, |i, p| {
             let level = |a: T| (a.f64() * 255.0) as u8;
-            if masks[i] == 0b11_1111 { [level(p.alpha_up), level(p.alpha_down)] } else { [0; 2] }
+            if rays[i].votes == 0b11_1111 { [level(p.alpha_up), level(p.alpha_down)] } else { [0; 2] }
         });
         for (i, l) in levels.iter().enumerate() {
-            if masks[i] == 0b11_1111 {
+            if rays[i].votes == 0b11_1111 {
                 histogram[usize::from(l[0])] += 1;
                 histogram[usize::from(l[1])] += 1;
             }
@@ -226,13 +272,13 @@ fn auto_tau<T: Real>(shell: &Shell<T>, grid: &Grid, cap: Option<&Cap>, masks: &[
     (0.6 * level.unwrap_or(255) as f32 / 255.0).clamp(0.4, 0.9)
 }
 
-/// Fraction of the points with a majority whose downward ray escapes.
-fn open_fraction(masks: &[u8]) -> f64 {
+/// Fraction of the points with a majority whose downward ray meets no wall at all.
+fn open_fraction(rays: &[Rays]) -> f64 {
     let (mut all, mut open) = (0usize, 0usize);
-    for m in masks {
-        if m.count_ones() >= 4 {
+    for r in rays {
+        if r.votes.count_ones() >= 4 {
             all += 1;
-            open += usize::from(m & 0b10_0000 == 0);
+            open += usize::from(r.walls & 0b10_0000 == 0);
         }
     }
     if all == 0 { 0.0 } else { open as f64 / all as f64 }
@@ -245,8 +291,10 @@ fn lowest<T: Real>(shell: &Shell<T>) -> Option<f64> {
     z.get(z.len() / 200).copied()
 }
 
-/// The cap at a height: footprint = convex hull of the Gaussians within 3Δ of it, or of all where those span no area.
-fn cap_at<T: Real>(shell: &Shell<T>, grid: &Grid, height: f64) -> Option<Cap> {
+/// The cap at a height: footprint = convex hull of the Gaussians within 3Δ of it, or of all where those span no area;
+/// with a first vote at hand only near columns in which it found something inside, so that the cap does not close the
+/// hole of a ring.
+fn cap_at<T: Real>(shell: &Shell<T>, grid: &Grid, height: f64, rays: Option<&[Rays]>) -> Option<Cap> {
     let flat = |within: f64| -> Vec<[f64; 2]> {
         let near = shell.mean.iter().filter(|m| (m[2].f64() - height).abs() <= within);
         crate::polygon::convex_hull(&near.map(|m| [m[0].f64(), m[1].f64()]).collect::<Vec<_>>())
@@ -255,27 +303,43 @@ fn cap_at<T: Real>(shell: &Shell<T>, grid: &Grid, height: f64) -> Option<Cap> {
     if footprint.len() < 3 {
         footprint = flat(f64::INFINITY);
     }
-    (footprint.len() >= 3).then_some(Cap { height, footprint })
+    if footprint.len() < 3 {
+        return None;
+    }
+    let [nx, ny, _] = grid.dims;
+    let mut columns = vec![rays.is_none(); nx * ny];
+    for (i, _) in rays.unwrap_or_default().iter().enumerate().filter(|(_, r)| r.votes.count_ones() >= 4) {
+        let [x, y, _] = grid.cell(i);
+        for v in y.saturating_sub(CAP_REACH)..(y + CAP_REACH + 1).min(ny) {
+            columns[v * nx..][x.saturating_sub(CAP_REACH)..(x + CAP_REACH + 1).min(nx)].fill(true);
+        }
+    }
+    let place = |axis: usize, i: usize| grid.coordinate(axis, i);
+    for y in 0..ny {
+        for x in 0..nx {
+            columns[y * nx + x] &= crate::polygon::contains(&footprint, [place(0, x), place(1, y)]);
+        }
+    }
+    Some(Cap { height, origin: [grid.origin[0], grid.origin[1]], spacing: grid.spacing, dims: [nx, ny], columns })
 }
 
 /// Adds the votes of the eight diagonals. A point stops as soon as its fate is certain, so that votes below the
 /// threshold of eight are lower bounds.
-fn with_diagonals<T: Real>(shell: &Shell<T>, grid: &Grid, cap: Option<&Cap>, tau: f32, tau_n: f32, masks: &[u8]) -> Vec<u8> {
+fn with_diagonals<T: Real>(shell: &Shell<T>, grid: &Grid, cap: Option<&Cap>, tau: f32, tau_n: f32, rays: &[Rays]) -> Vec<u8> {
     let tree = bvh::Bvh::new(shell);
     let (tau, tau_n) = (T::of(f64::from(tau)), T::of(f64::from(tau_n)));
-    let r = T::of(3.0).sqrt().recip();
-    masks
-        .par_iter()
+    let diagonal = T::of(3.0).sqrt().recip();
+    rays.par_iter()
         .enumerate()
         .with_min_len(256)
-        .map_init(Vec::new, |hits, (i, m)| {
-            let mut votes = m.count_ones() as u8;
+        .map_init(Vec::new, |hits, (i, r)| {
+            let mut votes = r.votes.count_ones() as u8;
             let x = grid.center(grid.cell(i)).map(T::of);
             for k in 0..8u8 {
                 if votes + (8 - k) < 8 {
                     break;
                 }
-                let d: Vec3<T> = std::array::from_fn(|b| if k >> b & 1 == 0 { r } else { -r });
+                let d: Vec3<T> = std::array::from_fn(|b| if k >> b & 1 == 0 { diagonal } else { -diagonal });
                 let hit = tree.trace(x, d, cap, hits);
                 votes += u8::from(interior_ray(hit.alpha, megas_math::vec3::dot(hit.normal, d), tau, tau_n));
             }

@@ -15,16 +15,17 @@ pub struct Shell<T> {
     pub mean: Vec<Vec3<T>>,
     /// Covariances, symmetric.
     pub covariance: Vec<Mat3<T>>,
-    /// Outward unit normals.
+    /// Outward unit normals; zero for Gaussians under the skin, which absorb rays but say nothing about the outside.
     pub normal: Vec<Vec3<T>>,
     /// Opacities in (1/255, 1].
     pub opacity: Vec<T>,
 }
 
 impl<T: Real> Shell<T> {
-    /// The Gaussians of `splats` in the frame `y = rotation · (X − origin)`. Those that no ray can count
-    /// (opacity below 1/255, not finite) are left out; the smallest scale is floored at 1e-3 of the largest.
-    pub fn new(splats: &Splats, rotation: Mat3<f64>, origin: Vec3<f64>) -> Self {
+    /// The Gaussians of `splats` in the frame `y = rotation · (X − origin)`, with outward `normals` in scene axes (as long
+    /// as the splats). Those that no ray can count (opacity below 1/255, not finite) are left out; the smallest scale is
+    /// floored at 1e-3 of the largest.
+    pub fn new(splats: &Splats, normals: &[Vec3<f32>], rotation: Mat3<f64>, origin: Vec3<f64>) -> Self {
         let mut shell = Self { mean: Vec::new(), covariance: Vec::new(), normal: Vec::new(), opacity: Vec::new() };
         for i in 0..splats.len() {
             let mean = mat3::mul_vec(rotation, vec3::sub(vec3::cast(splats.mean[i]), origin));
@@ -39,7 +40,7 @@ impl<T: Real> Shell<T> {
             let s = scale.map(|v| v.max(1e-3 * largest));
             let axes = mat3::mul(rotation, mat3::cast(splats.axes(i)));
             let cov = mat3::congruence(axes, mat3::diag(s.map(|v| v * v)));
-            let normal = mat3::mul_vec(rotation, vec3::cast(splats.normal(i)));
+            let normal = mat3::mul_vec(rotation, vec3::cast(normals[i]));
             shell.push(vec3::cast(mean), mat3::cast(cov), vec3::cast(normal), T::of(opacity));
         }
         shell
@@ -70,19 +71,29 @@ impl<T: Real> Shell<T> {
     }
 }
 
-/// A virtual cap (splatting.md §6.6): an opaque horizontal plane whose outside is below, bounded by a footprint.
+/// A virtual cap (splatting.md §6.6): an opaque horizontal plane whose outside is below, over the marked columns of a grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cap {
     /// Height of the plane in the filling frame.
     pub height: f64,
-    /// Corners of the footprint `(x, y)`, counter-clockwise, convex.
-    pub footprint: Vec<[f64; 2]>,
+    /// Lower corner of column (0, 0).
+    pub origin: [f64; 2],
+    /// Side of a column.
+    pub spacing: f64,
+    /// Columns along x and y.
+    pub dims: [usize; 2],
+    /// The columns it closes, x fastest.
+    pub columns: Vec<bool>,
 }
 
 impl Cap {
     /// True where the vertical line through `(x, y)` crosses the cap.
     pub fn covers(&self, x: f64, y: f64) -> bool {
-        crate::polygon::contains(&self.footprint, [x, y])
+        let at = |v: f64, k: usize| {
+            let i = ((v - self.origin[k]) / self.spacing).floor();
+            (i >= 0.0 && i < self.dims[k] as f64).then_some(i as usize)
+        };
+        matches!((at(x, 0), at(y, 1)), (Some(i), Some(j)) if self.columns[j * self.dims[0] + i])
     }
 }
 
