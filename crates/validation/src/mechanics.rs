@@ -1,6 +1,355 @@
-//! Being written.
+//! V26–V37 and the mechanics of V45: motion, elasticity, flow, friction, determinism (simulation.md §8.4, §8.6).
 
-use crate::Case;
+use megas_math::{Mat3, mat3, vec3};
+use megas_sim::collider::{Collider, Mode, Shape};
+use megas_sim::grid::Grid;
+use megas_sim::mechanics::{Mechanics, Settings, Wall, material_point};
+use megas_sim::particles::{HENCKY, Particles};
+use megas_sim::reference::{self, Law};
 
-/// The cases of this file.
-pub const CASES: &[Case] = &[];
+use crate::{Case, Row, Tier};
+
+/// Cases of this file.
+pub const CASES: &[Case] = &[
+    Case { id: "V26", name: "free fall", tier: Tier::A, run: free_fall },
+    Case { id: "V29", name: "period of an axial bar", tier: Tier::A, run: axial_bar },
+    Case { id: "V32", name: "Herschel–Bulkley flow of one point", tier: Tier::A, run: shear_flow },
+    Case { id: "V34", name: "plane slump of a yield-stress fluid", tier: Tier::B, run: plane_slump },
+    Case { id: "V34-fine", name: "plane slump at half the spacing", tier: Tier::C, run: plane_slump_fine },
+    Case { id: "V37", name: "Coulomb friction on an incline", tier: Tier::A, run: friction },
+    Case { id: "V45", name: "same bits for any number of threads", tier: Tier::A, run: determinism },
+];
+
+const GRAVITY: f64 = 9.81;
+
+/// Points on a regular lattice of half the node spacing that fills the box `min`..`max`, at rest, with the given density
+/// and moduli.
+fn block(grid: &Grid, min: [f64; 3], max: [f64; 3], density: f64, shear: f64, bulk: f64) -> Particles {
+    let h = 0.5 * grid.spacing;
+    let count: [usize; 3] = std::array::from_fn(|a| ((max[a] - min[a]) / h).round() as usize);
+    let mut p = Particles::blank(grid, count.iter().product());
+    let mut i = 0;
+    for x in 0..count[0] {
+        for y in 0..count[1] {
+            for z in 0..count[2] {
+                let site = [x, y, z];
+                p.set_position(i, std::array::from_fn(|a| min[a] + (site[a] as f64 + 0.5) * h));
+                p.id[i] = i as u32;
+                i += 1;
+            }
+        }
+    }
+    p.volume.fill((h * h * h) as f32);
+    p.mass.fill((density * h * h * h) as f32);
+    p.shear.fill(shear as f32);
+    p.bulk.fill(bulk as f32);
+    p.law.fill(HENCKY);
+    p
+}
+
+/// Shear and bulk modulus.
+fn moduli(e: f64, nu: f64) -> (f64, f64) {
+    megas_sim::material::Material::moduli(e, nu)
+}
+
+fn center(p: &Particles) -> [f64; 3] {
+    let sum = (0..p.len()).fold([0.0; 3], |s, i| vec3::add(s, p.position(i)));
+    vec3::scale(sum, 1.0 / p.len() as f64)
+}
+
+fn free_fall() -> Vec<Row> {
+    let grid = Grid { origin: [0.0; 3], spacing: 0.01, nodes: [20, 20, 32] };
+    let (shear, bulk) = moduli(1e5, 0.3);
+    let mut p = block(&grid, [0.06, 0.06, 0.15], [0.14, 0.14, 0.23], 1000.0, shear, bulk);
+    let start: Vec<_> = (0..p.len()).map(|i| p.position(i)).collect();
+    let from = center(&p);
+    let mass: f64 = p.mass.iter().map(|&m| f64::from(m)).sum();
+    let mut m = Mechanics::new(&grid, Settings::default(), Vec::new());
+    let (dt, steps) = (2e-4, 500);
+    let report = m.run(&mut p, steps, dt);
+    let t = dt * steps as f64;
+    let fall = from[2] - center(&p)[2];
+    let momentum: f64 = (0..p.len()).map(|i| f64::from(p.mass[i]) * f64::from(p.velocity(i)[2])).sum();
+    let (mut shape, mut strain) = (0.0f64, 0.0f64);
+    for i in 0..p.len() {
+        let moved = vec3::sub(p.position(i), start[p.id[i] as usize]);
+        shape = shape.max(vec3::norm(vec3::sub(moved, [0.0, 0.0, -fall])) / 0.08);
+        strain = strain.max(mat3::norm(mat3::cast::<f32, f64>(p.displacement_gradient(i))));
+    }
+    vec![
+        Row::relative("fall of the centre [m]", 0.5 * GRAVITY * t * t + 0.5 * GRAVITY * t * dt, fall, 1e-5),
+        Row::relative("momentum [kg m/s]", -mass * GRAVITY * t, momentum, 2e-6),
+        Row::new("change of shape / side", 0.0, shape, 1e-5),
+        Row::new("largest stress / E", 0.0, strain, 1e-5),
+        Row::new("repairs", 0.0, report.repairs.capped as f64 + report.repairs.degenerate as f64, 0.0),
+    ]
+}
+
+/// Ratio of the measured to the exact period of the first axial mode, and the amplitude left after five periods.
+fn bar(cells: usize) -> (f64, f64) {
+    let dx = 0.01;
+    let grid = Grid { origin: [0.0; 3], spacing: dx, nodes: [cells + 16, 20, 20] };
+    let (shear, bulk) = moduli(1e5, 0.0);
+    let lo = [8.0 * dx, 8.0 * dx, 8.0 * dx];
+    let length = cells as f64 * dx;
+    let mut p = block(&grid, lo, [lo[0] + length, 12.0 * dx, 12.0 * dx], 1000.0, shear, bulk);
+    let c = (1e5f64 / 1000.0).sqrt();
+    let mut shape = vec![0.0; p.len()];
+    for i in 0..p.len() {
+        let k = std::f64::consts::PI / length;
+        let x = p.position(i)[0] - lo[0];
+        shape[p.id[i] as usize] = (k * x).cos();
+        p.set_velocity(i, [(1e-3 * c * (k * x).cos()) as f32, 0.0, 0.0]);
+        // The affine matrix of the same field; without it the first transfer would damp it.
+        p.set_affine(i, [[(-1e-3 * c * k * (k * x).sin()) as f32, 0.0, 0.0], [0.0; 3], [0.0; 3]]);
+    }
+    let mut m = Mechanics::new(&grid, Settings { gravity: [0.0; 3], ..Settings::default() }, Vec::new());
+    let exact = 2.0 * length / c;
+    let per_period = (exact * c / (0.4 * dx)).ceil() as usize;
+    let dt = exact / per_period as f64;
+    let amplitude = |p: &Particles| (0..p.len()).map(|i| f64::from(p.velocity(i)[0]) * shape[p.id[i] as usize]).sum::<f64>();
+    let first = amplitude(&p);
+    // The zeros of the mode's velocity give the period.
+    let (mut zeros, mut last, mut peak) = (Vec::new(), first, 0.0f64);
+    for k in 1.. {
+        m.run(&mut p, 1, dt);
+        let t = f64::from(k) * dt;
+        let a = amplitude(&p);
+        if last * a < 0.0 {
+            zeros.push(t - dt * a / (a - last));
+        }
+        last = a;
+        if t > 4.75 * exact {
+            peak = peak.max(a.abs());
+        }
+        if t > 5.3 * exact {
+            break;
+        }
+    }
+    let period = 2.0 * (zeros[zeros.len() - 1] - zeros[0]) / (zeros.len() - 1) as f64;
+    (period / exact, peak / first.abs())
+}
+
+fn axial_bar() -> Vec<Row> {
+    let mut rows = Vec::new();
+    for (cells, ratio, tolerance) in [(16, 1.0039, 5e-3), (32, 1.0010, 2e-3), (64, 1.0002, 1e-3)] {
+        let (period, amplitude) = bar(cells);
+        rows.push(Row::new(format!("L = {cells} Δx: period / (2L/c)"), ratio, period, tolerance));
+        rows.push(Row::new(format!("L = {cells} Δx: amplitude after 5 periods"), 1.0, amplitude, 0.01));
+    }
+    rows
+}
+
+fn shear_flow() -> Vec<Row> {
+    let mut rows = Vec::new();
+    let cases = [(1e4, 100.0, 20.0, 1.0, 10.0, 157.735), (1e4, 100.0, 20.0, 0.5, 10.0, 95.341), (1e4, 0.0, 2.0, 1.0, 50.0, 50.0)];
+    for (shear, yield_stress, viscosity, exponent, rate, reference) in cases {
+        let law = Law { law: HENCKY, shear, bulk: 3e4, yield_stress, viscosity, exponent };
+        let name = format!("σ_Y {yield_stress}, η {viscosity}, h {exponent}: τ_xy [Pa]");
+        for dt in [1e-3, 1e-4] {
+            let mut f = mat3::identity::<f64>();
+            for _ in 0..(0.3 / dt) as usize {
+                f = reference::return_map(&law, mat3::mul([[1.0, rate * dt, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], f), dt).0;
+            }
+            rows.push(Row::relative(format!("f64, Δt {dt:.0e}, {name}"), reference, reference::stress(&law, f)[0][1], 2e-3));
+            rows.push(Row::new(format!("f64, Δt {dt:.0e}: det F"), 1.0, mat3::det(f), 1e-9));
+            if yield_stress > 0.0 && dt == 1e-3 {
+                // At rest the stress relaxes to the yield surface.
+                for _ in 0..20_000 {
+                    f = reference::return_map(&law, f, dt).0;
+                }
+                let t = reference::stress(&law, f);
+                let mean = mat3::trace(t) / 3.0;
+                let s = mat3::norm(mat3::sub(t, mat3::scale(mat3::identity(), mean)));
+                rows.push(Row::relative("f64: residual |dev τ| [Pa]", (2.0f64 / 3.0).sqrt() * yield_stress, s, 2e-3));
+            }
+        }
+        // The production kernel, one point in f32.
+        let law = Law {
+            law: HENCKY,
+            shear: shear as f32,
+            bulk: 3e4,
+            yield_stress: yield_stress as f32,
+            viscosity: viscosity as f32,
+            exponent: exponent as f32,
+        };
+        let dt = 1e-4f32;
+        let mut h: Mat3<f32> = [[0.0; 3]; 3];
+        let mut tau = h;
+        for _ in 0..3000 {
+            let g = rate as f32 * dt;
+            for c in 0..3 {
+                h[0][c] += g * (h[1][c] + f32::from(u8::from(c == 1)));
+            }
+            (h, tau) = material_point(&law, h, dt);
+        }
+        rows.push(Row::relative(format!("f32, Δt 1e-4, {name}"), reference, tau[0][1].into(), 2e-3));
+        let f: Mat3<f64> = mat3::add(mat3::cast(h), mat3::identity());
+        rows.push(Row::new("f32: det F after 3000 yielding steps", 1.0, mat3::det(f), 2e-5));
+    }
+    rows
+}
+
+/// Length and height of the deposit of a half block 0.1 m × 0.1 m with yield stress `tau_0`, after `seconds`.
+fn slump(dx: f64, tau_0: f64, seconds: f64) -> (f64, f64) {
+    // A slab two cells thick between slip walls; the padding layers are the walls, node 2 is the first free plane.
+    let (length, thickness) = (0.46, 2.0 * dx);
+    let nodes = [(length / dx) as usize + 6, 8, (0.14 / dx) as usize + 6];
+    let grid = Grid { origin: [-2.0 * dx, -2.0 * dx - 0.5 * dx, -2.0 * dx], spacing: dx, nodes };
+    let mut p = block(&grid, [0.0, 0.0, 0.0], [0.1, thickness, 0.1], 1000.0, 3e3, 1e5);
+    p.yield_stress.fill((3f64.sqrt() * tau_0) as f32);
+    p.viscosity.fill(2.0 * 2.0);
+    let mut walls = [[Wall::Slip; 2]; 3];
+    walls[2][0] = Wall::Sticky;
+    let mut m = Mechanics::new(&grid, Settings { walls, ..Settings::default() }, Vec::new());
+    let coupling = 0.01;
+    for _ in 0..(seconds / coupling) as usize {
+        let step = m.time_step(&p, coupling);
+        m.run(&mut p, step.steps, step.dt);
+    }
+    // The 99.5 % quantile of x and the top at the symmetry plane, plus half a point spacing each.
+    let mut x: Vec<f64> = (0..p.len()).map(|i| p.position(i)[0]).collect();
+    x.sort_by(f64::total_cmp);
+    let reach = x[(x.len() as f64 * 0.995) as usize] + 0.25 * dx;
+    let top = (0..p.len()).filter(|&i| p.position(i)[0] < 1.5 * dx).map(|i| p.position(i)[2]).fold(0.0, f64::max) + 0.25 * dx;
+    (reach, top)
+}
+
+/// Rows of a slump against the thin-layer theory, at the ratios that the reference program reached (V34 of the design).
+fn slump_rows(dx: f64, length_ratio: f64, height_ratio: f64) -> Vec<Row> {
+    let tau_0 = 20.0f64;
+    let area = 0.01;
+    let rho_g = 1000.0 * GRAVITY;
+    let length = (9.0 * rho_g * area * area / (8.0 * tau_0)).cbrt();
+    let height = (2.0 * tau_0 * length / rho_g).sqrt();
+    let (reach, top) = slump(dx, tau_0, 8.0);
+    vec![
+        Row::new(format!("Δx {} mm: length / theory", dx * 1e3), length_ratio, reach / length, 0.08),
+        Row::new(format!("Δx {} mm: height / theory", dx * 1e3), height_ratio, top / height, 0.08),
+    ]
+}
+
+fn plane_slump() -> Vec<Row> {
+    slump_rows(0.01, 0.928, 1.108)
+}
+
+fn plane_slump_fine() -> Vec<Row> {
+    slump_rows(0.005, 1.019, 0.973)
+}
+
+/// Acceleration of an elastic block along the slope over `seconds`, its way, and the node spacing. The columns of `frame` point
+/// down the slope, across it and out of it.
+fn slide(shape: Shape, friction: f64, gravity: [f64; 3], frame: Mat3<f64>, seconds: f64) -> (f64, f64, f64) {
+    let dx = 0.02;
+    let grid = Grid { origin: [-0.5, -0.3, -0.9], spacing: dx, nodes: [90, 30, 75] };
+    let (shear, bulk) = moduli(1e6, 0.3);
+    let mut p = block(&grid, [-0.08, -0.08, 0.0], [0.08, 0.08, 0.08], 1000.0, shear, bulk);
+    for i in 0..p.len() {
+        let x = p.position(i);
+        p.set_position(i, mat3::mul_vec(frame, x));
+    }
+    let down = mat3::column(frame, 0);
+    let collider = Collider { shape, mode: Mode::Separate, friction, offset: 0.0, melt_sticks: false };
+    // Flat enough not to tip over. It falls half a cell until its nodes feel the slope; drag lets it settle without bouncing,
+    // and the acceleration is that of the part without drag.
+    let mut m = Mechanics::new(&grid, Settings { gravity, drag: 20.0, ..Settings::default() }, vec![collider]);
+    let along = |p: &Particles| vec3::dot(center(p), down);
+    let speed = |p: &Particles| (0..p.len()).map(|i| vec3::dot(vec3::cast(p.velocity(i)), down)).sum::<f64>() / p.len() as f64;
+    let run = |m: &mut Mechanics, p: &mut Particles, time: f64| {
+        let coupling = 5e-3;
+        for _ in 0..(time / coupling).round() as usize {
+            let step = m.time_step(p, coupling);
+            m.run(p, step.steps, step.dt);
+        }
+    };
+    run(&mut m, &mut p, 0.2);
+    m.settings.drag = 0.0;
+    let (v0, x0) = (speed(&p), along(&p));
+    run(&mut m, &mut p, seconds);
+    ((speed(&p) - v0) / seconds, along(&p) - x0, dx)
+}
+
+fn friction() -> Vec<Row> {
+    let theta = 30f64.to_radians();
+    let (sin, cos) = theta.sin_cos();
+    let level = mat3::identity::<f64>();
+    // Down the slope, across, out of it, for a plane tilted about y.
+    let tilted = [[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]];
+    let pull = [GRAVITY * sin, 0.0, -GRAVITY * cos];
+    let weight = [0.0, 0.0, -GRAVITY];
+    let plane = Shape::Plane { point: [0.0; 3], normal: [0.0, 0.0, 1.0] };
+    let slope = Shape::Plane { point: [0.0; 3], normal: [sin, 0.0, cos] };
+    let table = Shape::Box { min: [-2.0, -2.0, -1.0], max: [4.0, 2.0, 0.0] };
+    let ball = Shape::Sphere { center: [0.0, 0.0, -2000.0], radius: 2000.0 };
+    let exact = GRAVITY * (sin - 0.3 * cos);
+    let flat = slide(plane, 0.3, pull, level, 0.3).0;
+    let mut rows = vec![
+        Row::relative("plane, μ 0.3: acceleration [m/s²]", exact, flat, 0.05),
+        Row::relative("tilted plane, μ 0.3: acceleration [m/s²]", exact, slide(slope, 0.3, weight, tilted, 0.3).0, 0.05),
+        Row::relative("box: acceleration, against the plane", flat, slide(table, 0.3, pull, level, 0.3).0, 0.01),
+        Row::relative("ball of 2 km: acceleration, against the plane", flat, slide(ball, 0.3, pull, level, 0.3).0, 0.01),
+    ];
+    let (_, moved, dx) = slide(plane, 0.7, pull, level, 0.5);
+    rows.push(Row::new("plane, μ 0.7: way in 0.5 s / Δx", 0.0, moved / dx, 0.1));
+    rows
+}
+
+fn determinism() -> Vec<Row> {
+    let run = |threads: usize| -> Option<u64> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()?;
+        Some(pool.install(|| {
+            let grid = Grid { origin: [0.0; 3], spacing: 0.01, nodes: [24, 24, 24] };
+            let mut p = block(&grid, [0.07, 0.07, 0.05], [0.16, 0.16, 0.14], 1000.0, 3e4, 8e4);
+            p.viscosity.fill(1.0);
+            let floor = Collider::new(Shape::Plane { point: [0.0, 0.0, 0.05], normal: [0.0, 0.0, 1.0] });
+            let mut m = Mechanics::new(&grid, Settings::default(), vec![floor]);
+            for step in 0..200 {
+                // A front that melts the block from below.
+                for i in 0..p.len() {
+                    let molten = p.position(i)[2] < 0.05 + 0.0005 * f64::from(step);
+                    p.liquid[i] = f32::from(u8::from(molten));
+                    p.yield_stress[i] = if molten { 5.0 } else { f32::INFINITY };
+                    p.shear[i] = if molten { 8e3 } else { 3e4 };
+                }
+                let t = m.time_step(&p, 1e-3);
+                m.run(&mut p, t.steps, t.dt);
+            }
+            p.state_hash() >> 12
+        }))
+    };
+    let one = run(1).map_or(f64::NAN, |h| h as f64);
+    [2, 4].into_iter().map(|n| Row::new(format!("state hash with {n} threads"), one, run(n).map_or(f64::NAN, |h| h as f64), 0.0)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn v26_free_fall() {
+        crate::assert_case("V26");
+    }
+
+    #[test]
+    fn v29_axial_bar() {
+        crate::assert_case("V29");
+    }
+
+    #[test]
+    fn v32_shear_flow() {
+        crate::assert_case("V32");
+    }
+
+    #[test]
+    fn v34_plane_slump() {
+        crate::assert_case("V34");
+    }
+
+    #[test]
+    fn v37_friction() {
+        crate::assert_case("V37");
+    }
+
+    #[test]
+    fn v45_determinism() {
+        crate::assert_case("V45");
+    }
+}
