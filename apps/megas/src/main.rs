@@ -61,7 +61,7 @@ enum Answer {
 impl Answer {
     fn print(self, command: &str, global: &Global) {
         let (text, mut object) = match self {
-            Self::Figures(figures) => (summary::table(&figures), figures),
+            Self::Figures(figures) => (summary::table(&figures, global.verbose || figures["dry_run"] == true), figures),
             // What was asked for is printed however quiet it should be.
             Self::Document { text, .. } if !global.json => return print(&text),
             Self::Document { text, object } => (text, object),
@@ -87,7 +87,7 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
         }
         Command::Inspect { file } => {
             let figures = megas_pipeline::inspect(file)?;
-            let text = summary::table(&figures);
+            let text = summary::table(&figures, true);
             Ok(Answer::Document { text, object: figures })
         }
         Command::Run(a) => on_file(a, global, megas_pipeline::run),

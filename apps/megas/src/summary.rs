@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 /// Keys with a label and a unit of their own, in the order they are shown; anything else follows under its own name.
 const KNOWN: &[(&str, &str)] = &[
@@ -17,39 +17,43 @@ const KNOWN: &[(&str, &str)] = &[
     ("particles", "particles"),
     ("gaussians", "Gaussians"),
     ("acceleration", "heat runs"),
+    ("thermal_acceleration", "heat runs"),
     ("energy_residual", "energy residual"),
     ("volume_change", "volume change"),
     ("repairs", "repairs"),
     ("films", "films"),
 ];
 
-/// The table of a result.
-pub fn table(result: &Value) -> String {
+/// Units at the end of keys, longest first: the unit moves behind the number.
+const UNITS: &[(&str, &str)] =
+    &[("_m_s", " m/s"), ("_m3", " m³"), ("_w_m2", " W/m²"), ("_k", " K"), ("_c", " °C"), ("_m", " m"), ("_j", " J"), ("_w", " W")];
+
+/// The table of a result. Figures within figures are details.
+pub fn table(result: &Value, details: bool) -> String {
     let mut text = String::new();
     let Some(map) = result.as_object() else { return text };
     for (key, label) in KNOWN {
         if let Some(value) = map.get(*key) {
-            row(&mut text, key, label, value, 0);
+            row(&mut text, key, label, value, details);
         }
     }
-    rest(&mut text, map, 0);
+    for (key, value) in map.iter().filter(|(key, _)| KNOWN.iter().all(|(k, _)| k != key)) {
+        row(&mut text, key, &label_of(key), value, details);
+    }
     text
 }
 
-fn rest(text: &mut String, map: &Map<String, Value>, depth: usize) {
-    for (key, value) in map {
-        if depth > 0 || KNOWN.iter().all(|(k, _)| k != key) {
-            row(text, key, &key.replace('_', " "), value, depth);
-        }
-    }
+/// A key as words, without its unit where that is shown with the number.
+fn label_of(key: &str) -> String {
+    let (stem, estimate) = key.strip_suffix("_estimate").map_or((key, ""), |s| (s, " (estimate)"));
+    let units = UNITS.iter().map(|u| u.0).chain(["_s", "_mib", "_bytes"]);
+    let stem = units.into_iter().find_map(|u| stem.strip_suffix(u)).unwrap_or(stem);
+    format!("{}{estimate}", stem.replace('_', " "))
 }
 
-fn row(text: &mut String, key: &str, label: &str, value: &Value, depth: usize) {
-    let indent = 2 * depth;
-    let width = 22usize.saturating_sub(indent);
+fn row(text: &mut String, key: &str, label: &str, value: &Value, details: bool) {
     let mut line = |shown: &str, first: bool| {
-        let label = if first { label } else { "" };
-        let line = format!("{:indent$}{label:<width$} {shown}", "");
+        let line = format!("{:<24} {shown}", if first { label } else { "" });
         let _ = writeln!(text, "{}", line.trim_end());
     };
     match value {
@@ -58,16 +62,10 @@ fn row(text: &mut String, key: &str, label: &str, value: &Value, depth: usize) {
             let corner = |c: &str| map.get(c).map(scalar_list).unwrap_or_default();
             line(&format!("{} to {}", corner("min"), corner("max")), true);
         }
-        Value::Object(map) => {
-            line("", true);
-            rest(text, map, depth + 1);
-        }
-        Value::Array(items) if items.iter().any(|v| v.is_object()) => {
-            for (i, item) in items.iter().enumerate() {
-                let fields = item.as_object().into_iter().flatten();
-                let words: Vec<String> = fields.map(|(k, v)| format!("{} {}", k.replace('_', " "), scalar(k, v))).collect();
-                line(&words.join(", "), i == 0);
-            }
+        Value::Object(_) if !details => {}
+        Value::Object(_) => line(&fields(value), true),
+        Value::Array(items) if items.iter().any(Value::is_object) => {
+            items.iter().enumerate().for_each(|(i, item)| line(&fields(item), i == 0));
         }
         Value::Array(items) if items.iter().any(Value::is_string) => {
             let words: Vec<&str> = items.iter().filter_map(Value::as_str).collect();
@@ -77,9 +75,16 @@ fn row(text: &mut String, key: &str, label: &str, value: &Value, depth: usize) {
                 false => words.iter().enumerate().for_each(|(i, w)| line(w, i == 0)),
             }
         }
+        Value::Array(items) if items.is_empty() => {}
         Value::Array(_) => line(&scalar_list(value), true),
         _ => line(&scalar(key, value), true),
     }
+}
+
+/// An object on one line.
+fn fields(value: &Value) -> String {
+    let one = |(key, value): (&String, &Value)| format!("{} {}", label_of(key), scalar(key, value));
+    value.as_object().into_iter().flatten().map(one).collect::<Vec<_>>().join(", ")
 }
 
 fn scalar_list(value: &Value) -> String {
@@ -93,11 +98,15 @@ fn scalar(key: &str, value: &Value) -> String {
         Value::String(s) => s.clone(),
         Value::Bool(b) => if *b { "yes" } else { "no" }.into(),
         Value::Number(n) => match (key, n.as_f64()) {
+            (_, Some(v)) if UNITS.iter().any(|u| key.ends_with(u.0)) => {
+                let unit = UNITS.iter().find(|u| key.ends_with(u.0)).map_or("", |u| u.1);
+                format!("{}{unit}", number(v))
+            }
             (_, Some(v)) if key.ends_with("seconds") || key.ends_with("_s") => duration(v),
             (_, Some(v)) if key.ends_with("bytes") => bytes(v),
             (_, Some(v)) if key.ends_with("_mib") => bytes(v * f64::from(1 << 20)),
             ("volume_change", Some(v)) => format!("{:+.3} %", 100.0 * v),
-            ("acceleration", Some(v)) => format!("{} times faster than nature", number(v)),
+            ("acceleration" | "thermal_acceleration", Some(v)) => format!("{} times faster than nature", number(v)),
             (_, Some(v)) if n.is_f64() => number(v),
             _ => n.to_string(),
         },
@@ -147,38 +156,41 @@ mod tests {
     fn a_run_reads_like_a_table() {
         let result = json!({
             "frames": 120, "seconds": 133.4, "particles": 60000, "energy_residual": 3.14159e-7, "volume_change": -0.00012, "repairs": 0,
-            "films": ["out/main_rgb.mp4", "out/main_thermal.mp4"], "acceleration": 42.0, "peak_memory_bytes": 3145728, "skipped": null,
+            "films": ["out/film.mp4", "out/thermal.mp4"], "acceleration": 42.0, "peak_memory_bytes": 3145728, "skipped": null,
+            "max_speed_m_s": 0.3, "audit": { "heat_j": 2.0 }, "memory_mib_estimate": 158.0, "render_s_estimate": 17.0,
         });
         let expected = "\
-frames                 120
-time                   2 min 13 s
-particles              60000
-heat runs              42 times faster than nature
-energy residual        3.14e-7
-volume change          -0.012 %
-repairs                0
-films                  out/main_rgb.mp4
-                       out/main_thermal.mp4
-peak memory bytes      3.0 MiB
+frames                   120
+time                     2 min 13 s
+particles                60000
+heat runs                42 times faster than nature
+energy residual          3.14e-7
+volume change            -0.012 %
+repairs                  0
+films                    out/film.mp4
+                         out/thermal.mp4
+max speed                0.3 m/s
+memory (estimate)        158.0 MiB
+peak memory              3.0 MiB
+render (estimate)        17.0 s
 ";
-        assert_eq!(table(&result), expected);
+        assert_eq!(table(&result, false), expected);
     }
 
     #[test]
-    fn nested_objects_and_lists() {
+    fn details_take_one_line_each() {
         let result = json!({
             "bbox": { "min": [-1.0, 0.0, 0.25], "max": [1.0, 2.0, 12345.678] }, "opacity": { "p50": 0.98765 },
             "objects": [{ "name": "cup", "height_m": 0.1 }, { "name": "tea", "height_m": 0.05 }], "stages": ["fill", "render"],
         });
         let expected = "\
-bounding box           [-1, 0, 0.25] to [1, 2, 12346]
-objects                height m 0.1, name cup
-                       height m 0.05, name tea
-opacity
-  p50                  0.9877
-stages                 fill, render
+bounding box             [-1, 0, 0.25] to [1, 2, 12346]
+objects                  height 0.1 m, name cup
+                         height 0.05 m, name tea
+opacity                  p50 0.9877
+stages                   fill, render
 ";
-        assert_eq!(table(&result), expected);
+        assert_eq!(table(&result, true), expected);
     }
 
     #[test]
