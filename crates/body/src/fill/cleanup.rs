@@ -40,7 +40,8 @@ fn neighbours6(grid: &Grid, index: usize, mut f: impl FnMut(usize)) {
     }
 }
 
-fn fill_enclosed(grid: &Grid, inside: &mut [bool]) -> usize {
+/// Makes exterior points interior that no path through exterior points connects with the border of the grid.
+pub(super) fn fill_enclosed(grid: &Grid, inside: &mut [bool]) -> usize {
     let [nx, ny, nz] = grid.dims;
     let mut open = vec![false; grid.len()];
     let mut todo: Vec<usize> = Vec::new();
