@@ -18,11 +18,16 @@ const STEP_INTERVAL: Duration = Duration::from_millis(250);
 /// Set by Ctrl-C; the pipeline asks for it between steps.
 static STOP: AtomicBool = AtomicBool::new(false);
 
+/// A second Ctrl-C sooner than this belongs to the first: some programs signal both a process and its group.
+const SAME_STOP: Duration = Duration::from_millis(500);
+
 /// Makes Ctrl-C ask for a stop; a second one ends the program at once (files are written such that this costs only the current step).
 pub fn stop_on_ctrl_c() {
+    let mut first: Option<Instant> = None;
     // Without a handler Ctrl-C simply ends the program, and the run can still be resumed.
-    let _ = ctrlc::set_handler(|| {
-        if STOP.swap(true, Ordering::SeqCst) {
+    let _ = ctrlc::set_handler(move || {
+        STOP.store(true, Ordering::SeqCst);
+        if first.get_or_insert_with(Instant::now).elapsed() > SAME_STOP {
             std::process::exit(1);
         }
     });

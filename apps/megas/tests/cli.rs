@@ -1,5 +1,6 @@
 //! The conduct of the command line: exit codes, help, JSON contract, errors that leave nothing behind.
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
@@ -150,4 +151,32 @@ fn a_reader_that_goes_away_is_no_error() {
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(0));
     assert!(stderr(&output).is_empty(), "{}", stderr(&output));
+}
+
+/// Ctrl-C in the middle of a run: exit code 1, an error event that says how to go on, and a folder to go on from.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_leaves_something_to_continue() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_megas"))
+        .args(["demo", "--quick", "--json", "--output"])
+        .arg(&out)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut last = Value::Null;
+    let mut interrupted = false;
+    for line in BufReader::new(child.stdout.take().unwrap()).lines() {
+        last = serde_json::from_str(&line.unwrap()).unwrap();
+        if !interrupted && last["event"] == "step" {
+            interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success();
+        }
+    }
+    assert!(interrupted, "the run never reported a step");
+    assert_eq!(child.wait().unwrap().code(), Some(1));
+    assert_eq!(last["event"], "error");
+    assert!(last["message"].as_str().unwrap().contains("again to continue"), "{last}");
+    assert!(out.is_dir());
 }
