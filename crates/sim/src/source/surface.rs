@@ -60,6 +60,27 @@ impl Window {
         Some(out)
     }
 
+    /// Visits the nodes of the 3³ block around window node `at` with coordinates `c`, in memory order.
+    #[inline(always)]
+    fn around(&self, lattice: &Lattice, c: [i64; 3], at: usize, mut visit: impl FnMut(usize)) {
+        if (0..3).all(|a| c[a] > 0 && c[a] + 1 < self.shape[a] as i64) {
+            let (row, plane) = (self.shape[2], self.shape[1] * self.shape[2]);
+            for x in [at - plane, at, at + plane] {
+                for y in [x - row, x, x + row] {
+                    for z in [y - 1, y, y + 1] {
+                        visit(z);
+                    }
+                }
+            }
+            return;
+        }
+        for n in 0..27i64 {
+            if let Some(j) = self.at(lattice, [c[0] + n / 9 - 1, c[1] + n / 3 % 3 - 1, c[2] + n % 3 - 1]) {
+                visit(j);
+            }
+        }
+    }
+
     fn coordinates(&self, index: usize) -> [i64; 3] {
         let k = index % self.shape[2];
         let ij = index / self.shape[2];
@@ -154,13 +175,11 @@ impl SurfaceMeasure {
             // Uphill in φ; beyond the last material the smoothed φ still shows the way.
             let climb = |field: &[f32]| {
                 let mut best = at;
-                for n in 0..27i64 {
-                    if let Some(j) = window.at(lattice, [c[0] + n / 9 - 1, c[1] + n / 3 % 3 - 1, c[2] + n % 3 - 1])
-                        && field[j] > field[best]
-                    {
+                window.around(lattice, c, at, |j| {
+                    if field[j] > field[best] {
                         best = j;
                     }
-                }
+                });
                 best
             };
             let mut best = climb(&self.phi);

@@ -234,10 +234,12 @@ impl ThermalSolver {
             let e = m * h;
             let g = points.grad_t[p].map(|g| slope * f64::from(g));
             lattice.stencil(points.xi[p]).visit(first, |n, w, d| {
-                let node = &mut part[n];
-                node[ENERGY] += w * (e + g[0] * d[0] + g[1] * d[1] + g[2] * d[2]);
-                node[MASS] += w * m;
-                node[VOLUME] += w * v;
+                let mut add = [0.0; 4];
+                add[ENERGY] = e + g[0] * d[0] + g[1] * d[1] + g[2] * d[2];
+                add[MASS] = m;
+                add[VOLUME] = v;
+                // All four lanes at once: one vector addition.
+                part[n] = std::array::from_fn(|l| part[n][l] + w * add[l]);
             });
         });
     }

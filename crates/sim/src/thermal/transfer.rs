@@ -44,9 +44,11 @@ impl Lattice {
     /// nearest nodes, so that no energy is ever lost.
     #[inline(always)]
     fn base(&self, axis: usize, xi: f64) -> (i64, f64) {
-        let (base, f) = bspline::base_and_fraction(xi);
+        // Truncation corrected for negative values: the library's floor is a call on the baseline instruction set.
+        let t = (xi - 0.5) as i64;
+        let base = t - i64::from(t as f64 > xi - 0.5);
         if self.periodic[axis] {
-            return (base, f);
+            return (base, xi - base as f64);
         }
         let inside = base.clamp(0, self.nodes[axis] as i64 - 3);
         (inside, (xi - inside as f64).clamp(0.5, 1.5))
