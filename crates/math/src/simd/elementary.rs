@@ -115,15 +115,15 @@ mod tests {
                 x.extend([m, -m]);
             }
         }
-        let got = map(&x, |o, x| dispatch!(level, s => apply(s, o, x, |s, v| exp(s, v))));
+        let got = map(&x, |o, x| dispatch!(level, s => apply(s, o, x, exp)));
         check("exp", &x, &got, f64::exp, 2e-7);
-        let got = map(&x, |o, x| dispatch!(level, s => apply(s, o, x, |s, v| exp_m1(s, v))));
+        let got = map(&x, |o, x| dispatch!(level, s => apply(s, o, x, exp_m1)));
         check("exp_m1", &x, &got, f64::exp_m1, 3e-7);
         let y: Vec<f32> = x.iter().copied().filter(|&v| v > -0.999).collect();
-        let got = map(&y, |o, x| dispatch!(level, s => apply(s, o, x, |s, v| ln_1p(s, v))));
+        let got = map(&y, |o, x| dispatch!(level, s => apply(s, o, x, ln_1p)));
         check("ln_1p", &y, &got, f64::ln_1p, 2.5e-7);
         let y: Vec<f32> = x.iter().copied().filter(|&v| v > 1e-37).collect();
-        let got = map(&y, |o, x| dispatch!(level, s => apply(s, o, x, |s, v| ln(s, v))));
+        let got = map(&y, |o, x| dispatch!(level, s => apply(s, o, x, ln)));
         check("ln", &y, &got, f64::ln, 2.5e-7);
     }
 

@@ -4,7 +4,7 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
-use super::{Lanes, Mat3s, Sym3};
+use super::{Lanes, Mat3s, Sym3, each6};
 
 /// Eigenvalues `w` (unsorted) and eigenvectors `u` (columns of a rotation) of `a`, by four cyclic Jacobi sweeps: the
 /// off-diagonal is then below rounding of `‖a‖`.
@@ -117,10 +117,13 @@ impl<S: Simd> Traceless<S> {
     /// `f₀ + f₁ x + f₂ x²`.
     #[inline(always)]
     pub fn combine(&self, f: [Lanes<S>; 3]) -> Sym3<S> {
-        std::array::from_fn(|i| {
-            let v = f[2].mul_add(self.x2[i], f[1] * self.x[i]);
-            if i < 3 { v + f[0] } else { v }
-        })
+        each6(
+            #[inline(always)]
+            |i| {
+                let v = f[2].mul_add(self.x2[i], f[1] * self.x[i]);
+                if i < 3 { v + f[0] } else { v }
+            },
+        )
     }
 }
 

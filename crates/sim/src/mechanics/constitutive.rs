@@ -7,7 +7,7 @@ use fearless_simd::{Select, Simd, SimdBase, SimdFloat, SimdMask};
 use megas_math::Mat3;
 use megas_math::simd::elementary::{exp, exp_m1, ln, ln_1p, powf};
 use megas_math::simd::symmetric::{EXP_M1, LN_1P, SERIES_P, SQRT_1P_M1, Traceless, contract, eigen, from_eigen};
-use megas_math::simd::{Lanes, Mat3s, Sym3};
+use megas_math::simd::{Lanes, Mat3s, Sym3, each3, each6};
 
 /// Smallest and largest stretch that is not repaired (simulation.md §7.6).
 pub(crate) const STRETCH: (f32, f32) = (0.05, 20.0);
@@ -81,17 +81,18 @@ fn principal<S: Simd>(s: S, strain: Sym3<S>, volume: Lanes<S>, is_corotated: Mas
     let (low, high) = (STRETCH.0 * STRETCH.0 - 1.0, STRETCH.1 * STRETCH.1 - 1.0);
     let bounded = most.simd_le(c(high)) & volume.abs().simd_le(c(STRETCH.1.powi(3)));
     let regular = bounded & (is_corotated | (least.simd_ge(c(low)) & volume.simd_ge(c(MIN_J))));
-    let log = w.map(|v| ln_1p(s, v.max(c(low)).min(c(high))) * 0.5);
+    let log = each3(|a| ln_1p(s, w[a].max(c(low)).min(c(high))) * 0.5);
     let trace = log[0] + log[1] + log[2];
     let inverted = volume.simd_lt(c(0.0));
-    let corotated = w.map(|v| {
+    let corotated = each3(|a| {
+        let v = w[a];
         let root = (v + 1.0).max(c(0.0)).sqrt();
         // σ² − σ, and σ² + σ for the one stretch that carries the reflection.
         let flip = inverted & v.simd_eq(least);
         let square = (v + 1.0).max(c(0.0));
         flip.select(square + root, root * (v / (root + 1.0)))
     });
-    Principal { u, e: log.map(|v| v - trace * (1.0 / 3.0)), trace, corotated, degenerate: !regular }
+    Principal { u, e: each3(|a| log[a] - trace * (1.0 / 3.0)), trace, corotated, degenerate: !regular }
 }
 
 /// Ratio `s / s_tr` of the returned to the trial stress norm in lanes that yield (`over = s_tr − s_Y > 0`), and 1 elsewhere:
@@ -172,9 +173,9 @@ pub(crate) fn respond<S: Simd>(
     let inverse = c(1.0) / scale;
     let mut x = strain;
     for k in 0..3 {
-        x[k] = x[k] - mean;
+        x[k] -= mean;
     }
-    let x = Traceless::<S>::new(x.map(|v| v * inverse));
+    let x = Traceless::<S>::new(each6(|k| x[k] * inverse));
     let small = x.p.simd_le(c(SERIES_P)) & scale.simd_ge(c(0.3)) & scale.simd_le(c(4.0)) & volume.simd_gt(c(0.1));
     let large = if small.all_true() {
         None
@@ -211,10 +212,10 @@ pub(crate) fn respond<S: Simd>(
                 let effective = if yue { law.shear * scale } else { law.shear };
                 ratio = yields.select(flow_ratio(s, trial, over, effective * (2.0 * dt), law.viscosity, law.exponent), ratio);
                 let shrink = ratio - 1.0;
-                let a = Traceless::<S>::new(e.map(|v| v * shrink));
+                let a = Traceless::<S>::new(each6(|k| e[k] * shrink));
                 let mut m = a.combine(a.series(s, &EXP_M1));
                 if let Some(p) = &large {
-                    let other = from_eigen::<S>(&p.u, p.e.map(|v| exp_m1(s, v * shrink)));
+                    let other = from_eigen::<S>(&p.u, each3(|a| exp_m1(s, p.e[a] * shrink)));
                     for k in 0..6 {
                         m[k] = small.select(m[k], other[k]);
                     }

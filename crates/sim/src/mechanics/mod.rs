@@ -260,13 +260,15 @@ impl Mechanics {
             .map_init(
                 || Box::new(Tile::ZERO),
                 |from, (index, (view, (to, regions)))| {
-                    if GATHER {
-                        nodes.load_tile(index, from);
-                    }
                     if SCATTER {
                         to.0.fill(0.0);
                     }
-                    let (outcome, touched) = dispatch!(level, s => sweep::<_, GATHER, SCATTER>(s, view, from, to, &constants));
+                    let (outcome, touched) = dispatch!(level, s => {
+                        if GATHER {
+                            nodes.load_tile(s, index, from);
+                        }
+                        sweep::<_, GATHER, SCATTER>(s, view, from, to, &constants)
+                    });
                     *regions = touched;
                     outcome
                 },
@@ -280,14 +282,17 @@ impl Mechanics {
     fn advance_grid(&mut self, dt: f64) -> f32 {
         let mut values = std::mem::take(&mut self.nodes.values);
         let nodes = &self.nodes;
+        let level = self.level;
         let step = GridStep { settings: &self.settings, grid: &self.grid, dt, least_mass: self.least_mass };
-        let fastest: Vec<f32> = values.par_iter_mut().enumerate().map(|(i, out)| nodes.advance(i, out, &step)).collect();
+        let fastest: Vec<f32> =
+            values.par_iter_mut().enumerate().map(|(i, out)| dispatch!(level, s => nodes.advance(s, i, out, &step))).collect();
         self.nodes.values = values;
         fastest.into_iter().fold(0.0, f32::max)
     }
 
     /// Liquid share of the node masses near obstacles, once per sort: P2G of `m f_l` in place of momentum.
     fn find_liquid(&mut self, blocks: &mut [View]) {
+        let level = self.level;
         let mut tiles = std::mem::take(&mut self.nodes.tiles);
         blocks.par_iter().zip(tiles.par_iter_mut()).for_each(|(view, (to, regions))| {
             to.0.fill(0.0);
@@ -295,7 +300,7 @@ impl Mechanics {
         });
         self.nodes.tiles = tiles;
         let nodes = &self.nodes;
-        let shares: Vec<_> = (0..nodes.info.len()).into_par_iter().map(|i| nodes.liquid_share(i)).collect();
+        let shares: Vec<_> = (0..nodes.info.len()).into_par_iter().map(|i| nodes.liquid_share(level, i)).collect();
         self.nodes.set_liquid(shares);
     }
 

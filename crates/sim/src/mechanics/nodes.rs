@@ -5,6 +5,8 @@
 
 use std::collections::HashMap;
 
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x4, f32x8, f32x16};
+
 use super::transfer::{TILE, TILE_ORIGIN, Tile};
 use super::{Settings, Wall};
 use crate::collider::{Collider, Contact, apply_contacts};
@@ -145,7 +147,8 @@ impl Nodes {
     }
 
     /// Sums the tiles into `out` for one block; returns false where nothing touches it.
-    fn sum_tiles(&self, info: &NodeInfo, out: &mut NodeBlock) -> bool {
+    #[inline(always)]
+    fn sum_tiles<S: Simd>(&self, s: S, info: &NodeInfo, out: &mut NodeBlock) -> bool {
         out.0.fill(0.0);
         let mut any = false;
         for (k, &t) in info.tiles.iter().enumerate() {
@@ -159,13 +162,18 @@ impl Nodes {
                 continue;
             }
             any = true;
-            let [(tx, bx, nx), (ty, by, ny), (tz, bz, nz)] = [side / 9, side / 3 % 3, side % 3].map(overlap);
+            let [(tx, bx, nx), (ty, by, ny), (tz, bz, nz)] = [overlap(side / 9), overlap(side / 3 % 3), overlap(side % 3)];
             for x in 0..nx {
                 for y in 0..ny {
                     let from = (((tx + x) * TILE + ty + y) * TILE + tz) * 4;
                     let to = (((bx + x) * SIDE + by + y) * SIDE + bz) * 4;
-                    for (a, b) in out.0[to..to + 4 * nz].iter_mut().zip(&tile.0[from..from + 4 * nz]) {
-                        *a += b;
+                    // Four nodes of a row, or two.
+                    if nz == SIDE {
+                        let (a, b) = (&mut out.0[to..to + 16], &tile.0[from..from + 16]);
+                        (f32x16::from_slice(s, a) + f32x16::from_slice(s, b)).store_slice(a);
+                    } else {
+                        let (a, b) = (&mut out.0[to..to + 8], &tile.0[from..from + 8]);
+                        (f32x8::from_slice(s, a) + f32x8::from_slice(s, b)).store_slice(a);
                     }
                 }
             }
@@ -174,18 +182,23 @@ impl Nodes {
     }
 
     /// New velocities of one block from momenta in the tiles; returns the largest speed squared.
-    pub fn advance(&self, index: usize, out: &mut NodeBlock, step: &GridStep) -> f32 {
+    #[inline(always)]
+    pub fn advance<S: Simd>(&self, s: S, index: usize, out: &mut NodeBlock, step: &GridStep) -> f32 {
         let info = &self.info[index];
-        if !self.sum_tiles(info, out) {
+        if !self.sum_tiles(s, info, out) {
             return 0.0;
         }
         let keep = (1.0 - step.settings.drag * step.dt).max(0.0) as f32;
         let push = step.settings.gravity.map(|g| (g * step.dt) as f32);
+        let push = f32x4::from_slice(s, &[push[0], push[1], push[2], 0.0]);
         for q in out.0.as_chunks_mut::<4>().0 {
-            let inverse = if q[3] > step.least_mass { keep / q[3] } else { 0.0 };
-            let g = if q[3] > step.least_mass { 1.0 } else { 0.0 };
-            for a in 0..3 {
-                q[a] = q[a] * inverse + g * push[a];
+            let mass = q[3];
+            if mass > step.least_mass {
+                let v = f32x4::from_slice(s, q).mul_add(f32x4::splat(s, keep / mass), push);
+                v.store_slice(q);
+                q[3] = mass;
+            } else {
+                q[..3].fill(0.0);
             }
         }
         let mut contacts = self.contacts_of(info);
@@ -204,13 +217,13 @@ impl Nodes {
     }
 
     /// Liquid share of the node masses from tiles that hold `[m f_l, ·, ·, m]`.
-    pub fn liquid_share(&self, index: usize) -> Option<Box<[f32; 64]>> {
+    pub fn liquid_share(&self, level: Level, index: usize) -> Option<Box<[f32; 64]>> {
         let info = &self.info[index];
         if !self.contacts_of(info).iter().any(|c| c.melt_sticks) {
             return None;
         }
         let mut sum = NodeBlock::ZERO;
-        self.sum_tiles(info, &mut sum);
+        dispatch!(level, s => self.sum_tiles(s, info, &mut sum));
         Some(Box::new(std::array::from_fn(|n| if sum.0[4 * n + 3] > 0.0 { sum.0[4 * n] / sum.0[4 * n + 3] } else { 0.0 })))
     }
 
@@ -222,18 +235,23 @@ impl Nodes {
     }
 
     /// Copies the velocities around a block of points into a tile.
-    pub fn load_tile(&self, block: usize, out: &mut Tile) {
+    #[inline(always)]
+    pub fn load_tile<S: Simd>(&self, s: S, block: usize, out: &mut Tile) {
         for (side, &n) in self.around[block].iter().enumerate() {
-            let [(tx, bx, nx), (ty, by, ny), (tz, bz, nz)] = [side / 9, side / 3 % 3, side % 3].map(overlap);
+            let [(tx, bx, nx), (ty, by, ny), (tz, bz, nz)] = [overlap(side / 9), overlap(side / 3 % 3), overlap(side % 3)];
             for x in 0..nx {
                 for y in 0..ny {
                     let to = (((tx + x) * TILE + ty + y) * TILE + tz) * 4;
-                    let out = &mut out.0[to..to + 4 * nz];
                     if n == NONE {
-                        out.fill(0.0);
+                        out.0[to..to + 4 * nz].fill(0.0);
+                        continue;
+                    }
+                    let from = (((bx + x) * SIDE + by + y) * SIDE + bz) * 4;
+                    let values = &self.values[n as usize].0;
+                    if nz == SIDE {
+                        f32x16::from_slice(s, &values[from..from + 16]).store_slice(&mut out.0[to..to + 16]);
                     } else {
-                        let from = (((bx + x) * SIDE + by + y) * SIDE + bz) * 4;
-                        out.copy_from_slice(&self.values[n as usize].0[from..from + 4 * nz]);
+                        f32x8::from_slice(s, &values[from..from + 8]).store_slice(&mut out.0[to..to + 8]);
                     }
                 }
             }

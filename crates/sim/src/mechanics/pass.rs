@@ -3,7 +3,7 @@
 
 use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdMask};
 use megas_math::simd::transpose::{Record, load_records, store_records};
-use megas_math::simd::{Lanes, Mat3s};
+use megas_math::simd::{Lanes, Mat3s, each3, each6, each9};
 use megas_math::{Mat3, mat3, svd};
 use megas_model::{FLAG_ESCAPED, FLAG_REPAIRED};
 
@@ -102,7 +102,10 @@ fn load_cells<S: Simd>(s: S, slice: &[u32], at: usize) -> S::u32s {
 
 #[inline(always)]
 fn load_matrix<S: Simd>(s: S, a: &[&mut [f32]; 9], at: usize) -> Mat3s<S> {
-    std::array::from_fn(|r| std::array::from_fn(|c| load(s, a[3 * r + c], at, 0.0)))
+    each9(
+        #[inline(always)]
+        |r, c| load(s, a[3 * r + c], at, 0.0),
+    )
 }
 
 #[inline(always)]
@@ -115,9 +118,10 @@ fn store_matrix<S: Simd>(m: &Mat3s<S>, a: &mut [&mut [f32]; 9], at: usize) {
 /// `h + g + g h`, the displacement gradient after the increment `I + g`.
 #[inline(always)]
 fn advance<S: Simd>(g: &Mat3s<S>, h: &Mat3s<S>) -> Mat3s<S> {
-    std::array::from_fn(|r| {
-        std::array::from_fn(|c| h[r][c] + g[r][0].mul_add(h[0][c], g[r][1].mul_add(h[1][c], g[r][2].mul_add(h[2][c], g[r][c]))))
-    })
+    each9(
+        #[inline(always)]
+        |r, c| h[r][c] + g[r][0].mul_add(h[0][c], g[r][1].mul_add(h[1][c], g[r][2].mul_add(h[2][c], g[r][c]))),
+    )
 }
 
 /// Stencils of `LEN` points, from the lane `at` of the chunk.
@@ -173,7 +177,10 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
         if GATHER {
             for sub in (0..CHUNK).step_by(lanes) {
                 let at = base + sub;
-                let g = [0, 1, 2].map(|a| load(s, view.offset[a], at.min(count), 0.0));
+                let g = each3(
+                    #[inline(always)]
+                    |a| load(s, view.offset[a], at.min(count), 0.0),
+                );
                 let cell = load_cells(s, view.cell, at.min(count));
                 fill_stencils(s, &mut stencils, sub, cell, g, corner);
             }
@@ -197,7 +204,10 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
                 exponent: load(s, view.exponent, at, 1.0),
                 corotated: laws.corotated,
             };
-            let mut g = [0, 1, 2].map(|a| load(s, view.offset[a], at, 0.0));
+            let mut g = each3(
+                #[inline(always)]
+                |a| load(s, view.offset[a], at, 0.0),
+            );
             let mut cell = load_cells(s, view.cell, at);
             let mut h = load_matrix(s, &view.elastic, at);
             let (v, c, isolated);
@@ -214,13 +224,13 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
                 for a in 0..3 {
                     g[a] = v[a].mul_add(splat(k.dt * k.inv_dx), g[a]);
                 }
-                let shift = g.map(|x| x.round_ties_even());
+                let shift = each3(|a| g[a].round_ties_even());
                 for a in 0..3 {
-                    g[a] = g[a] - shift[a];
+                    g[a] -= shift[a];
                 }
-                let steps = shift.map(|x| x.to_int::<S::i32s>());
+                let steps = each3(|a| shift[a].to_int::<S::i32s>());
                 let delta = (((steps[0] << AXIS_BITS) + steps[1]) << AXIS_BITS) + steps[2];
-                cell = cell + delta.bitcast::<S::u32s>();
+                cell += delta.bitcast::<S::u32s>();
                 keep_inside(s, view, at, lanes.min(count - at), &mut cell, &mut g, k, &mut outcome);
                 for a in 0..3 {
                     store::<S>(g[a], view.offset[a], at);
@@ -236,15 +246,16 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
                     store_matrix::<S>(&c, &mut view.affine, at);
                 }
                 let step = alone.select(zero, splat(k.dt));
-                let increment: Mat3s<S> = c.map(|row| row.map(|x| x * step));
+                let increment: Mat3s<S> = each9(|r, k| c[r][k] * step);
                 if k.track_total {
                     let f = load_matrix(s, &view.total, at);
-                    let f: Mat3s<S> = std::array::from_fn(|r| {
-                        std::array::from_fn(|c| {
+                    let f: Mat3s<S> = each9(
+                        #[inline(always)]
+                        |r, c| {
                             let t = increment[r][2].mul_add(f[2][c], f[r][c]);
                             increment[r][0].mul_add(f[0][c], increment[r][1].mul_add(f[1][c], t))
-                        })
-                    });
+                        },
+                    );
                     store_matrix::<S>(&f, &mut view.total, at);
                 }
                 let trial = advance::<S>(&increment, &h);
@@ -252,17 +263,18 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
                     // J ← J (1 + Δt tr C).
                     let trace = increment[0][0] + increment[1][1] + increment[2][2];
                     let j = trace.mul_add(h[0][0] + 1.0, h[0][0]);
-                    h = std::array::from_fn(|r| {
-                        std::array::from_fn(|c| {
-                            let fluid = if r == 0 && c == 0 { j } else { zero };
-                            laws.fluid.select(fluid, trial[r][c])
-                        })
-                    });
+                    h = each9(
+                        #[inline(always)]
+                        |r, c| laws.fluid.select(if r == 0 && c == 0 { j } else { zero }, trial[r][c]),
+                    );
                 } else {
                     h = trial;
                 }
             } else {
-                v = [0, 1, 2].map(|a| load(s, view.velocity[a], at, 0.0));
+                v = each3(
+                    #[inline(always)]
+                    |a| load(s, view.velocity[a], at, 0.0),
+                );
                 c = load_matrix(s, &view.affine, at);
                 isolated = Mask::<S>::splat(s, false);
             }
@@ -287,7 +299,7 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
                 let broken = r.degenerate & !laws.fluid;
                 if broken.any_true() {
                     let keep = !broken;
-                    stress = stress.map(|x| keep.select(x, zero));
+                    stress = each6(|k| keep.select(stress[k], zero));
                     j = keep.select(j, splat(1.0));
                     repair(s, view, at, broken.to_bitmask(), &mut elastic, &mut outcome);
                 }
@@ -388,28 +400,31 @@ impl<S: Simd> Motion<S> {
         let zero = splat(0.0);
         let mut v = [r[0], r[1], r[2]];
         let slope = splat(4.0 * k.inv_dx);
-        let mut c: Mat3s<S> = std::array::from_fn(|row| [r[4 + row] * slope, r[8 + row] * slope, r[12 + row] * slope]);
+        let mut c: Mat3s<S> = each9(|row, col| r[4 + 4 * col + row] * slope);
         let mut speed2 = v[2].mul_add(v[2], v[1].mul_add(v[1], v[0] * v[0]));
-        let size = c.iter().flatten().fold(speed2, |m, x| m + x.abs());
+        let mut size = speed2;
+        for row in &c {
+            size += row[0].abs() + row[1].abs() + row[2].abs();
+        }
         // Also false for NaN.
         let finite = size.simd_lt(splat(1e30));
         if finite.any_false() {
             outcome.repairs.non_finite += u64::from((!finite).to_bitmask().count_ones()).min(valid as u64);
-            v = v.map(|x| finite.select(x, zero));
-            c = c.map(|row| row.map(|x| finite.select(x, zero)));
+            v = each3(|a| finite.select(v[a], zero));
+            c = each9(|i, j| finite.select(c[i][j], zero));
             speed2 = finite.select(speed2, zero);
         }
         let fast = speed2.simd_gt(splat(k.speed_cap * k.speed_cap));
         if fast.any_true() {
             outcome.repairs.capped += u64::from(fast.to_bitmask().count_ones());
             let scale = fast.select(splat(k.speed_cap) / speed2.sqrt(), splat(1.0));
-            v = v.map(|x| x * scale);
+            v = each3(|a| v[a] * scale);
             speed2 = speed2.min(splat(k.speed_cap * k.speed_cap));
         }
         if k.affine_damping > 0.0 {
             // C ← (1 − ζ) C + (ζ/2) (C − Cᵀ).
             let half = 0.5 * k.affine_damping;
-            c = std::array::from_fn(|i| std::array::from_fn(|j| c[i][j] * (1.0 - half) - c[j][i] * half));
+            c = each9(|i, j| c[i][j] * (1.0 - half) - c[j][i] * half);
         }
         Self { velocity: v, affine: c, speed2 }
     }

@@ -267,7 +267,7 @@ fn normals_turn_with_the_total_gradient() {
     let mut m = Mechanics::new(&GRID, Settings { gravity: [0.0; 3], ..free() }, Vec::new());
     m.run(&mut p, 10, 1e-3);
     for i in 0..p.len() {
-        if p.id[i] % 2 == 0 {
+        if p.id[i].is_multiple_of(2) {
             let n = p.normal[i];
             assert!((n[1].atan2(n[0]) - 0.01).abs() < 1e-4 && (vec3::norm(n) - 1.0).abs() < 1e-6, "{n:?}");
         } else {

@@ -87,7 +87,7 @@ fn scan<S: Simd>(s: S, p: &Particles, from: usize, to: usize) -> (f32, usize, f3
         let mut x = left_strain::<S>(&h);
         let mean = (x[0] + x[1] + x[2]) * (1.0 / 3.0);
         for k in 0..3 {
-            x[k] = x[k] - mean;
+            x[k] -= mean;
         }
         // No eigenvalue of a traceless matrix lies below −√(4p/3).
         let lowest = mean + 1.0 - (Traceless::<S>::new(x).p * (4.0 / 3.0)).sqrt();

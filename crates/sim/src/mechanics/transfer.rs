@@ -5,6 +5,7 @@
 //! gathering loads them once per cell, scattering adds them to memory once per cell.
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, SimdSplit, f32x4, f32x16};
+use megas_math::simd::each3;
 use megas_math::simd::transpose::Record;
 
 /// Nodes per axis of a tile: a block, one node of stencil and one of drift on each side.
@@ -59,12 +60,24 @@ struct AxisZ<S: Simd> {
 impl<S: Simd> AxisZ<S> {
     #[inline(always)]
     fn new(s: S) -> Self {
-        let lanes = |v: [f32; 4]| f32x16::from_fn(s, |i| v[i / 4]);
+        const fn lanes(v: [f32; 4]) -> [f32; 16] {
+            let mut out = [0.0; 16];
+            let mut i = 0;
+            while i < 16 {
+                out[i] = v[i / 4];
+                i += 1;
+            }
+            out
+        }
+        const C0: [f32; 16] = lanes([0.125, 0.75, 0.125, 0.0]);
+        const C1: [f32; 16] = lanes([-0.5, 0.0, 0.5, 0.0]);
+        const C2: [f32; 16] = lanes([0.5, -1.0, 0.5, 0.0]);
+        const NODE: [f32; 16] = lanes([-1.0, 0.0, 1.0, 2.0]);
         Self {
-            c0: lanes([0.125, 0.75, 0.125, 0.0]),
-            c1: lanes([-0.5, 0.0, 0.5, 0.0]),
-            c2: lanes([0.5, -1.0, 0.5, 0.0]),
-            node: lanes([-1.0, 0.0, 1.0, 2.0]),
+            c0: f32x16::from_slice(s, &C0),
+            c1: f32x16::from_slice(s, &C1),
+            c2: f32x16::from_slice(s, &C2),
+            node: f32x16::from_slice(s, &NODE),
         }
     }
 
@@ -109,8 +122,8 @@ pub(crate) fn gather<S: Simd>(s: S, tile: &Tile, st: &Stencils, count: usize, ou
             }
         }
         let (wz, dz) = z.at(splat(st.gz[p]));
-        let wy = [0, 1, 2].map(|j| splat(st.wy[j][p]));
-        let dy = [0, 1, 2].map(|j| splat(st.dy[j][p]));
+        let wy = each3(|j| splat(st.wy[j][p]));
+        let dy = each3(|j| splat(st.dy[j][p]));
         let (mut v, mut vx, mut vy) = (zero, zero, zero);
         for i in 0..3 {
             let plain = rows[i][2].mul_add(wy[2], rows[i][1].mul_add(wy[1], rows[i][0] * wy[0]));
@@ -147,8 +160,8 @@ pub(crate) fn scatter<S: Simd>(s: S, tile: &mut Tile, st: &Stencils, count: usiz
         let plain = quad(3).mul_add(dz, quad(0)) * wz;
         let ax = quad(1) * wz;
         let ay = quad(2) * wz;
-        let wy = [0, 1, 2].map(|j| splat(st.wy[j][p]));
-        let dy = [0, 1, 2].map(|j| splat(st.dy[j][p]));
+        let wy = each3(|j| splat(st.wy[j][p]));
+        let dy = each3(|j| splat(st.dy[j][p]));
         for i in 0..3 {
             let wx = splat(st.wx[i][p]);
             let t = ax.mul_add(splat(st.dx[i][p]), plain * wx);
