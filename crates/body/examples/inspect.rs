@@ -1,5 +1,5 @@
 //! Builds a body from a splat file, prints what happened and draws cross-sections of the filling:
-//! `cargo run --release -p megas-body --example inspect -- donut.ply 0,0,1 [output folder]`.
+//! `cargo run --release -p megas-body --example inspect -- donut.ply 0,0,1 [output folder [cells]]`.
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -8,13 +8,14 @@ use megas_body::{BodySettings, Placement, Selection, build_body, orient::OrientS
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let [file, up, rest @ ..] = args.as_slice() else { return Err("usage: inspect FILE UPX,UPY,UPZ [FOLDER]".into()) };
+    let [file, up, rest @ ..] = args.as_slice() else { return Err("usage: inspect FILE UPX,UPY,UPZ [FOLDER [CELLS]]".into()) };
     let up: Vec<f64> = up.split(',').map(str::parse).collect::<Result<_, _>>()?;
     let up: [f64; 3] = up.try_into().map_err(|_| "three components for up")?;
-    let loaded = megas_formats::load_splats(&PathBuf::from(file))?;
+    let cells = rest.get(1).map_or(Ok(48), |c| c.parse())?;
+    let loaded = megas_formats::load_splats(PathBuf::from(file))?;
     let settings = BodySettings {
         selection: Selection::All,
-        placement: Placement::Size { up, size_m: 0.1, cells: 48 },
+        placement: Placement::Size { up, size_m: 0.1, cells },
         orient: OrientSettings::default(),
         ..BodySettings::default()
     };

@@ -4,7 +4,6 @@ use megas_math::{Vec3, quat, sh, vec3};
 use megas_model::{Origin, Similarity, Splats, logit};
 use rayon::prelude::*;
 
-use crate::neighbours::Neighbours;
 use crate::polygon;
 use crate::select::{Plane, RobustBox, robust_bounds};
 
@@ -37,11 +36,15 @@ pub fn patch(object: &Splats, background: &Splats, up: Vec3<f64>, spacing: f64, 
     let ring: Vec<usize> = (0..background.len())
         .filter(|&i| {
             let m = background.mean[i];
-            background.opacity(i) > 0.1 && plane.height(m).abs() < 0.02 * l && polygon::distance(&footprint, flat(m)) < 0.15 * l
+            let away = polygon::distance(&footprint, flat(m));
+            background.opacity(i) > 0.1 && plane.height(m).abs() < 0.02 * l && away > 0.0 && away < 0.15 * l
         })
         .collect();
-    let around: Vec<Vec3<f32>> = ring.iter().map(|&i| background.mean[i]).collect();
-    let tree = Neighbours::new(&around).filter(|_| around.len() >= 20)?;
+    if ring.len() < 20 {
+        return None;
+    }
+    // Evenly taken, so that every side of the ring has its say.
+    let around: Vec<usize> = ring.iter().copied().step_by(ring.len().div_ceil(2000)).collect();
 
     let positions = hexagonal(&footprint, spacing);
     let thickness = 0.05 * spacing;
@@ -54,9 +57,10 @@ pub fn patch(object: &Splats, background: &Splats, up: Vec3<f64>, spacing: f64, 
             let x = vec3::add_scaled(vec3::add_scaled(vec3::add_scaled(plane.point, tx, q[0]), ty, q[1]), plane.normal, -2.0 * thickness);
             let x: Vec3<f32> = vec3::cast(x);
             let (mut sum, mut weight) = ([0.0f32; 3], 0.0f32);
-            for (j, d2) in tree.nearest(&x, 32) {
-                let i = ring[j as usize];
-                let w = background.opacity(i) / (d2 + (0.25 * spacing * spacing) as f32);
+            for &i in &around {
+                let d = vec3::sub(background.mean[i], x);
+                let d2 = vec3::dot(d, d) + (spacing * spacing) as f32;
+                let w = background.opacity(i) / (d2 * d2.sqrt());
                 sum = vec3::add_scaled(sum, background.base_rgb(i), w);
                 weight += w;
             }

@@ -152,9 +152,9 @@ pub enum BodyError {
         /// Gaussians of the object.
         count: usize,
     },
-    /// Nothing was found inside.
+    /// Nothing was found inside, or only under less than half of the surface.
     #[error(
-        "no interior was found at a grid spacing of {spacing_m:.2e} m ({one_short} points were one vote short, {inconsistent:.1} % of \
+        "no interior was found under most of the surface at a grid spacing of {spacing_m:.2e} m ({one_short} points were one vote short, {inconsistent:.1} % of \
          neighbouring normals disagree): the object is a thin shell, translucent, or open on several sides; raise the number of \
          cells, lower tau_alpha towards 0.4, use 14 directions, or select the whole object"
     )]
@@ -194,6 +194,8 @@ pub struct BodyReport {
     pub orient: OrientReport,
     /// Interior test; lengths in scene units.
     pub fill: FillReport,
+    /// Surface Gaussians that no volume carries, see [`Body::loose`].
+    pub loose: usize,
     /// Volumes in cubic scene units.
     pub volumes: VolumeReport,
     /// Volume of the body \[m³\].
@@ -225,6 +227,9 @@ pub struct Body {
     pub similarity: Similarity,
     /// Material points in SI: surface first, then internal, identities ascending from `first_id`.
     pub points: Points,
+    /// Surface Gaussians (indices, ascending) that lie more than a simulator cell away from all volume: specks in the air, hair,
+    /// wires. They are tracers, and nothing in the simulator moves them.
+    pub loose: Vec<u32>,
     /// The classified grid in the frame `R_a (X − O)`, scene units.
     pub filling: Filling,
     /// What happened.
@@ -268,12 +273,13 @@ pub fn build_body(splats: &Splats, settings: &BodySettings) -> Result<Body, Body
     let to_scene = |y: Vec3<f64>| vec3::add(mat3::tmul_vec(similarity.rotation, y), similarity.origin);
     let (min, max) = fill_box(&surface, &frame);
     let mut filling = fill(&shell, min, max, frame.dx, &settings.fill, |y| seen.0.hidden(vec3::cast(to_scene(y))));
+    let hollow = BodyError::Hollow {
+        spacing_m: filling.grid.spacing * similarity.metres_per_unit,
+        one_short: filling.report.one_short,
+        inconsistent: 100.0 * report.orient.inconsistent,
+    };
     if filling.report.interior == 0 {
-        return Err(BodyError::Hollow {
-            spacing_m: filling.grid.spacing * similarity.metres_per_unit,
-            one_short: filling.report.one_short,
-            inconsistent: 100.0 * report.orient.inconsistent,
-        });
+        return Err(hollow);
     }
     let local = |m: Vec3<f32>| mat3::mul_vec(similarity.rotation, vec3::sub(vec3::cast(m), similarity.origin));
     let centres: Vec<Vec3<f64>> = surface.mean.iter().map(|&m| local(m)).collect();
@@ -286,7 +292,11 @@ pub fn build_body(splats: &Splats, settings: &BodySettings) -> Result<Body, Body
     clock.lap("fill", &mut report);
 
     let placed = particles(&filling, &centres, &settings.volumes, settings.seed);
+    if 2 * placed.loose.len() > surface.len() {
+        return Err(hollow);
+    }
     report.volumes = placed.report;
+    report.loose = placed.loose.len();
     report.volume_m3 = placed.report.classified * similarity.metres_per_unit.powi(3);
     clock.lap("volumes", &mut report);
 
@@ -309,7 +319,7 @@ pub fn build_body(splats: &Splats, settings: &BodySettings) -> Result<Body, Body
         clock.lap("patch", &mut report);
     }
     report.warnings = warnings(&report);
-    Ok(Body { surface, internal, background, similarity, points, filling, report })
+    Ok(Body { surface, internal, background, similarity, points, loose: placed.loose, filling, report })
 }
 
 struct Clock(Instant);
@@ -520,6 +530,12 @@ fn warnings(r: &BodyReport) -> Vec<String> {
         out.push(format!(
             "{} grid points in {} loose parts were dropped",
             r.fill.cleanup.points_dropped, r.fill.cleanup.components_dropped
+        ));
+    }
+    if r.loose * 100 > r.counts[0] {
+        out.push(format!(
+            "{} of {} surface Gaussians lie apart from the body and will not move with it: raise the number of cells or deselect them",
+            r.loose, r.counts[0]
         ));
     }
     if r.volumes.tracer_mode {

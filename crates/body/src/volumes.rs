@@ -78,6 +78,9 @@ pub struct Particles {
     pub internal: Vec<Vec3<f64>>,
     /// Volumes of the surface Gaussians, then of the internal particles, in cubic units of the frame; 0 = tracer.
     pub volume: Vec<f64>,
+    /// Surface Gaussians (indices) without any classified volume in the 27 simulator cells around them: the simulator's grid
+    /// has no mass that could carry them.
+    pub loose: Vec<u32>,
     /// Distribution.
     pub report: VolumeReport,
 }
@@ -161,6 +164,8 @@ fn share(
         filled[cells.index(grid.cell(i).map(|c| c / block))] += 1;
     }
 
+    let loose = loose(&cells, &filled, surface);
+
     // Members of every cell with volume, ascending: surface first, internal after.
     let count = surface.len() + internal.len();
     let position = |p: usize| if p < surface.len() { surface[p] } else { internal[p - surface.len()] };
@@ -199,7 +204,18 @@ fn share(
     report.assigned = volume.iter().sum();
     report.mass_points = massive.len();
     report.tracers = home[..surface.len()].iter().filter(|h| h.is_none()).count();
-    Particles { internal, volume, report }
+    Particles { internal, volume, loose, report }
+}
+
+fn loose(cells: &crate::fill::Grid, filled: &[u32], surface: &[Vec3<f64>]) -> Vec<u32> {
+    let held = |x: Vec3<f64>| {
+        (0..27).any(|o| {
+            let shift = [o % 3 - 1, o / 3 % 3 - 1, o / 9 - 1];
+            let near = std::array::from_fn(|k| x[k] + f64::from(shift[k]) * cells.spacing);
+            cells.locate(near).is_some_and(|c| filled[cells.index(c)] > 0)
+        })
+    };
+    (0..surface.len() as u32).filter(|&i| !held(surface[i as usize])).collect()
 }
 
 /// Takes the mass of surface Gaussians in crowded cells, chosen by a hash, until at most `most` mass points remain.

@@ -88,7 +88,7 @@ mod tests {
         let g = Grid::covering([-1.03, 0.2, 5.0], [1.1, 0.9, 7.7], 0.1, 0.05, 4);
         for k in 0..3 {
             let blocks = g.origin[k] / 0.2;
-            assert!((blocks - blocks.round()).abs() < 1e-9 && g.dims[k] % 4 == 0);
+            assert!((blocks - blocks.round()).abs() < 1e-9 && g.dims[k].is_multiple_of(4));
             assert!(g.origin[k] <= [-1.13, 0.1, 4.9][k] && g.origin[k] + g.dims[k] as f64 * 0.05 >= [1.2, 1.0, 7.8][k] - 1e-12);
         }
         for i in [0, 17, g.len() - 1] {

@@ -178,7 +178,6 @@ pub fn classify<T: Real>(shell: &Shell<T>, grid: Grid, settings: &FillSettings, 
         Directions::Axes => (rays.par_iter().map(|r| r.votes.count_ones() as u8).collect::<Vec<u8>>(), 4),
         Directions::AxesAndDiagonals => (with_diagonals(shell, &grid, cap.as_ref(), tau, settings.tau_n, &rays), 8),
     };
-    let one_short = votes.iter().filter(|&&v| v + 1 == threshold).count();
     // Above the threshold: the majority filter is for votes that were close.
     let occluded: usize = votes
         .par_iter_mut()
@@ -191,6 +190,7 @@ pub fn classify<T: Real>(shell: &Shell<T>, grid: Grid, settings: &FillSettings, 
             usize::from(raise)
         })
         .sum();
+    let one_short = votes.iter().filter(|&&v| v + 1 == threshold).count();
     let mut inside: Vec<bool> = votes.iter().map(|&v| v >= threshold).collect();
     let voted = inside.iter().filter(|&&v| v).count();
     let cleanup = cleanup::clean(&grid, &mut inside, &votes, threshold);

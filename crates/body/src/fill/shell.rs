@@ -15,7 +15,7 @@ pub struct Shell<T> {
     pub mean: Vec<Vec3<T>>,
     /// Covariances, symmetric.
     pub covariance: Vec<Mat3<T>>,
-    /// Outward unit normals; zero for Gaussians under the skin, which absorb rays but say nothing about the outside.
+    /// Outward normals. Shorter ones than unit have less to say: zero for Gaussians that absorb rays but know no outside.
     pub normal: Vec<Vec3<T>>,
     /// Opacities in (1/255, 1].
     pub opacity: Vec<T>,

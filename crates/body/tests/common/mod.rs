@@ -118,7 +118,7 @@ pub fn shell(shape: &Shape, count: usize, size: f64, seed: u64) -> Shell {
         cells.entry(key).or_default().push(p);
         let n = shape.gradient(p);
         let facing = if rng.unit() < 0.5 { n } else { n.map(|v| -v) };
-        let turn = quat::from_axis_angle([0.0, 0.0, 1.0], rng.range(0.0, 6.28));
+        let turn = quat::from_axis_angle([0.0, 0.0, 1.0], rng.range(0.0, std::f64::consts::TAU));
         let q = quat::mul(quat::between([0.0, 0.0, 1.0], facing), turn);
         let s = size * r_min;
         let log_scale = [s, s, 0.05 * s].map(|v| (v as f32).ln());
