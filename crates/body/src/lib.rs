@@ -9,7 +9,9 @@ pub mod neighbours;
 pub mod orient;
 mod polygon;
 pub mod select;
+mod settings;
 pub mod volumes;
 
-pub use body::{Body, BodyError, BodyReport, BodySettings, Internal, Placement, SplitSettings, build_body};
+pub use body::{Body, BodyReport, Internal, build_body};
 pub use select::{Selection, select};
+pub use settings::{BodyError, BodySettings, Placement, SplitSettings};

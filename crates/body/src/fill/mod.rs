@@ -10,7 +10,7 @@ mod shell;
 use megas_math::{Real, Vec3};
 use rayon::prelude::*;
 
-pub use attach::attach;
+pub use attach::{Skin, attach};
 pub use cleanup::CleanupReport;
 pub use grid::Grid;
 pub use shell::{ALPHA_MAX, ALPHA_MIN, Blend, Cap, Shell};
