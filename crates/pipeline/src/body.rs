@@ -299,6 +299,32 @@ fn one_body(
     build_body(splats, &settings).map_err(|e| Failure::Input(format!("object '{}': {e}", object.name)))
 }
 
+/// Leaves out surface Gaussians that have no material near them: nothing would carry them, they would hang in the air.
+fn without_loose(mut body: Body) -> Body {
+    if body.loose.is_empty() {
+        return body;
+    }
+    let n = body.surface.len();
+    let mut keep = vec![true; body.points.len()];
+    body.loose.iter().for_each(|&i| keep[i as usize] = false);
+    let surface: Vec<usize> = (0..n).filter(|&i| keep[i]).collect();
+    body.surface = body.surface.select(&surface);
+    fn thin<T: Copy>(v: &mut Vec<T>, keep: &[bool]) {
+        let mut k = keep.iter();
+        v.retain(|_| k.next().copied().unwrap_or(true));
+    }
+    let p = &mut body.points;
+    thin(&mut p.position, &keep);
+    thin(&mut p.volume, &keep);
+    thin(&mut p.temperature, &keep);
+    thin(&mut p.normal, &keep);
+    thin(&mut p.material, &keep);
+    thin(&mut p.object, &keep);
+    thin(&mut p.flags, &keep);
+    thin(&mut p.id, &keep);
+    body
+}
+
 /// Joins the bodies: all surfaces first, then all insides; objects, materials and temperatures per point.
 fn finish(
     scene: &Scene,
@@ -327,6 +353,7 @@ fn finish(
         points: Points::default(),
     };
     let mut reports = Vec::new();
+    let bodies: Vec<Body> = bodies.into_iter().map(without_loose).collect();
     for (k, body) in bodies.iter().enumerate() {
         for warning in &body.report.warnings {
             sink.event(Event::Warning(&format!("{}: {warning}", objects[k].name)));
@@ -335,7 +362,7 @@ fn finish(
         reports.push(json!({
             "selected": r.selection.selected, "unseen": r.unseen, "surface": r.counts[0], "internal": r.counts[1],
             "volume_m3": r.volume_m3, "opposing_normals": r.orient.inconsistent, "tau_alpha": r.fill.tau_alpha,
-            "tracers": r.volumes.tracers, "volume_ratio_max_to_median": r.volumes.max / r.volumes.median,
+            "tracers": r.volumes.tracers, "loose": body.loose.len(), "volume_ratio_max_to_median": r.volumes.max / r.volumes.median,
         }));
         out.background.append(&body.background);
     }

@@ -31,7 +31,8 @@ fn path(camera: &Camera, scene: &Scene, placement: &Placement) -> Result<CameraP
     // A melting thing sinks: look a little below its middle.
     let middle = [0.5, 0.5, 0.42];
     let center: [f64; 3] = std::array::from_fn(|a| placement.box_min[a] + middle[a] * size[a]);
-    let radius = 0.5 * vec3::norm(size) / s.metres_per_unit;
+    // Half the longest side and a little: the bounding sphere of a flat thing would leave most of the picture empty.
+    let radius = 0.6 * size.iter().copied().fold(0.0, f64::max) / s.metres_per_unit;
     let distance = match orbit.distance {
         Some(d) => Distance::Fixed((placement.length(camera.frame, d) / s.metres_per_unit) as f32),
         None => Distance::Fit { radius: radius as f32, factor: FIT_FACTOR },

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use megas_math::{quat, vec3};
+use megas_model::Points;
 use megas_scene::{
     AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, MotionKey, Object, Placement, Quantity, Region, ResolvedMaterial, Scene, Severity,
     SiShape,
@@ -13,12 +14,12 @@ use megas_sim::particles::MAX_NODES;
 use megas_sim::phase::PhaseOptions;
 use megas_sim::region;
 use megas_sim::schedule::{Duty, Motion, PoseKey, Schedule};
-use megas_sim::solver::SolverConfig;
+use megas_sim::solver::{Solver, SolverConfig};
 use megas_sim::source::{Film, HeatSource, SourceKind};
 use megas_sim::thermal::{AirModel, ThermalOptions, natural_film_coefficient};
 
 use crate::Failure;
-use crate::body::{BodyMeta, ObjectInfo, scene_objects, total_height};
+use crate::body::{Bodies, BodyMeta, scene_objects, total_height};
 
 /// What sources need to know about the bodies.
 pub struct HeatContext<'a> {
@@ -161,44 +162,106 @@ pub fn sim_material(m: &ResolvedMaterial) -> Material {
     }
 }
 
-/// Thermal acceleration A_th of the run: the scene's factor, or the one that melts the slowest object in the wanted time
-/// (simulation.md §3.8, §10.3). With it the times to melt at nature's pace \[s\], infinite for what never melts.
-pub fn acceleration(scene: &Scene, meta: &BodyMeta, materials: &[ResolvedMaterial], sources: &[HeatSource]) -> (f64, Vec<f64>) {
-    let times: Vec<f64> = meta.objects.iter().zip(materials).map(|(o, m)| natural_melt_time(scene, meta, o, m, sources)).collect();
-    let factor = match scene.clock() {
-        Clock::Factor(f) => f,
-        Clock::MeltIn(seconds) => {
-            let slowest = times.iter().copied().filter(|t| t.is_finite()).fold(0.0, f64::max);
-            if slowest > 0.0 { (slowest / seconds).max(1.0) } else { 1.0 }
-        }
+/// Seconds at nature's pace until what the sources reach has melted (simulation.md §3.8, §10.3): the heat that the material
+/// in their regions takes, over the power they bring at the start. Sources that hold a temperature bring as much as
+/// conduction through the melt lets pass. Infinite if nothing melts.
+fn natural_melt_time(config: &SolverConfig, materials: &[ResolvedMaterial], points: &Points) -> Result<f64, Failure> {
+    // Whatever is scheduled counts at its strongest.
+    let strongest = |s: &HeatSource| {
+        let peak = s.schedule.keyframes.iter().copied().max_by(|a, b| a[1].total_cmp(&b[1]));
+        HeatSource { schedule: Schedule { keyframes: peak.into_iter().collect(), ..Schedule::default() }, ..s.clone() }
     };
-    (factor, times)
+    let sources: Vec<HeatSource> = config.sources.iter().map(strongest).collect();
+    let setup = SolverConfig { sources: sources.clone(), ..config.clone() };
+    let mut solver = Solver::new(setup, points).map_err(|e| Failure::Input(e.to_string()))?;
+    let powers = solver.probe_power().map_err(|e| Failure::Input(e.to_string()))?;
+    let mut best = f64::INFINITY;
+    let mut total = 0.0;
+    for (k, &(power, area)) in powers.iter().enumerate() {
+        total += power;
+        // The last one is the film of the air; it acts everywhere, together with the others.
+        let (source, power) = match sources.get(k) {
+            Some(s) => (s.clone(), power),
+            None => (nothing(), total),
+        };
+        let reached = reached(&source, config, materials, points);
+        if let SourceKind::Temperature { .. } = source.kind {
+            best = best.min(reached.conduction_s);
+        } else if power > 0.0 && reached.volume > 0.0 {
+            best = best.min(reached.heat / power * reached.overheating(power, area));
+        }
+    }
+    Ok(best)
 }
 
-fn natural_melt_time(scene: &Scene, meta: &BodyMeta, object: &ObjectInfo, m: &ResolvedMaterial, sources: &[HeatSource]) -> f64 {
-    // Volume over surface of a compact body; a ball has 0.207 V^(1/3).
-    let depth = 0.2 * object.volume_m3.cbrt();
-    let start = m.initial_temperature_k(scene.ambient_k());
-    let t_m = m.melting_point();
-    let film = |f: &Film| f.total_coefficient(t_m.min(f.ambient)) * (f.ambient - t_m);
-    let volume: f64 = meta.objects.iter().map(|o| o.volume_m3).sum();
-    let mut best = f64::INFINITY;
-    for s in sources {
-        let first = |v: f64| s.schedule.keyframes.iter().map(|k| k[1]).fold(v, f64::max);
-        let (flux, surface) = match s.kind {
-            SourceKind::Temperature { kelvin } => (None, Some(first(kelvin))),
-            SourceKind::Power { watts } => (Some(first(watts) * depth / volume), None),
-            SourceKind::Volume { watts_per_m3 } => (Some(first(watts_per_m3) * depth), None),
-            SourceKind::Flux { watts_per_m2 } => (Some(first(watts_per_m2)), None),
-            SourceKind::Film(f) => (Some(film(&Film { ambient: first(f.ambient), ..f })), None),
-        };
-        best = best.min(m.melt_time_s(depth, start, flux, surface));
+/// Every body, without an effect.
+fn nothing() -> HeatSource {
+    HeatSource {
+        name: String::new(),
+        region: region::Region::All,
+        kind: SourceKind::Power { watts: 0.0 },
+        schedule: Schedule::default(),
+        motion: Motion::default(),
     }
-    if scene.air.mode == AirMode::Film {
-        let air = air_film(scene, volume);
-        best = best.min(m.melt_time_s(depth, start, Some(film(&air)), None));
+}
+
+/// What a source has to melt.
+#[derive(Default)]
+struct Reached {
+    /// Heat that melting takes in the region \[J\].
+    heat: f64,
+    /// Meltable volume in the region \[m³\].
+    volume: f64,
+    /// Time that conduction from a wall at the source's temperature needs \[s\].
+    conduction_s: f64,
+    /// `∫ c_l / k_l dV` of the melt \[J·m⁴/(kg·W)\] times density: what a kelvin per watt of resistance stores.
+    storage: f64,
+}
+
+impl Reached {
+    /// Volume over surface of a compact body; a ball has 0.207 V^(1/3).
+    fn depth(&self) -> f64 {
+        0.2 * self.volume.cbrt()
     }
-    best
+
+    /// Heat that the melt takes above its melting point on the way, relative to what melting needs: a strong flux through a poor
+    /// conductor overheats the surface first. Half of the steady temperature difference across the depth.
+    fn overheating(&self, power: f64, area: f64) -> f64 {
+        if area <= 0.0 || self.heat <= 0.0 {
+            return 1.0;
+        }
+        1.0 + 0.5 * power / area * self.depth() * self.storage / self.heat
+    }
+}
+
+fn reached(source: &HeatSource, config: &SolverConfig, materials: &[ResolvedMaterial], points: &Points) -> Reached {
+    let mut out = Reached { conduction_s: f64::INFINITY, ..Reached::default() };
+    let mut slowest = 0.0f64;
+    for (k, m) in materials.iter().enumerate().filter(|(_, m)| m.melting_point().is_finite()) {
+        let mut v = 0.0;
+        for i in (0..points.len()).filter(|&i| usize::from(points.material[i]) == k) {
+            let inside = source.region.object().is_none_or(|o| o == points.object[i])
+                && source.region.weight(points.position[i], config.grid.spacing) > 0.5;
+            if inside {
+                let dv = f64::from(points.volume[i]);
+                let warm = m.heat_capacity_solid * (m.melting_point() - f64::from(points.temperature[i])).max(0.0);
+                out.heat += dv * m.density * (m.latent_heat + warm);
+                out.storage += dv * m.density * m.heat_capacity_liquid / m.conductivity_liquid;
+                v += dv;
+            }
+        }
+        out.volume += v;
+        if v > 0.0
+            && let SourceKind::Temperature { kelvin } = source.kind
+        {
+            let start = m.initial_temperature_k(config.ambient);
+            slowest = slowest.max(m.melt_time_s(0.2 * v.cbrt(), start, None, Some(kelvin)));
+        }
+    }
+    if slowest > 0.0 {
+        out.conduction_s = slowest;
+    }
+    out
 }
 
 /// The film that stands in for the air.
@@ -214,14 +277,15 @@ pub struct Prepared {
     pub config: SolverConfig,
     /// Thermal acceleration.
     pub acceleration: f64,
-    /// Times to melt at nature's pace \[s\].
-    pub melt_times: Vec<f64>,
+    /// Time to melt at nature's pace \[s\]; infinite if nothing melts.
+    pub melt_time: f64,
     /// Remarks of the material checks.
     pub remarks: Vec<String>,
 }
 
 /// The simulator's configuration of a scene with built bodies.
-pub fn prepare(scene: &Scene, meta: &BodyMeta) -> Result<Prepared, Failure> {
+pub fn prepare(scene: &Scene, bodies: &Bodies) -> Result<Prepared, Failure> {
+    let meta = &bodies.meta;
     let objects = scene_objects(scene);
     let height = total_height(meta);
     let placement = meta.placement();
@@ -248,15 +312,14 @@ pub fn prepare(scene: &Scene, meta: &BodyMeta) -> Result<Prepared, Failure> {
         natural_film: natural_film_coefficient(volume, 20.0, scene.ambient_k()),
     };
     let sources = scene.heat_or_default().iter().map(|h| heat_source(h, &context)).collect::<Result<Vec<_>, _>>()?;
-    let (factor, melt_times) = acceleration(scene, meta, &materials, &sources);
     let air = match scene.air.mode {
         AirMode::None => AirModel::None,
         AirMode::Film => AirModel::Film(air_film(scene, volume)),
     };
     let (colliders, collider_temperature) = crate::colliders::colliders(scene, meta)?;
-    let config = SolverConfig {
+    let mut config = SolverConfig {
         grid: grid(scene, meta)?,
-        materials: materials.iter().map(|m| sim_material(m).accelerated(factor)).collect(),
+        materials: materials.iter().map(sim_material).collect(),
         sources,
         colliders,
         collider_temperature,
@@ -269,7 +332,14 @@ pub fn prepare(scene: &Scene, meta: &BodyMeta) -> Result<Prepared, Failure> {
         courant: scene.simulation.courant,
         mechanics: scene.simulation.mechanics,
     };
-    Ok(Prepared { config, acceleration: factor, melt_times, remarks })
+    let melt_time = natural_melt_time(&config, &materials, &bodies.points)?;
+    let factor = match scene.clock() {
+        Clock::Factor(f) => f,
+        Clock::MeltIn(seconds) if melt_time.is_finite() => (melt_time / seconds).max(1.0),
+        Clock::MeltIn(_) => 1.0,
+    };
+    config.materials = config.materials.iter().map(|m| m.accelerated(factor)).collect();
+    Ok(Prepared { config, acceleration: factor, melt_time, remarks })
 }
 
 /// The simulation box (simulation.md §0.1): room to spread at the sides, a little above, the support four cells above the

@@ -27,14 +27,15 @@ pub fn frames(loaded: &LoadedScene) -> u64 {
 
 /// Runs or continues the simulation and returns its figures.
 pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: Found, sink: &dyn Sink) -> Result<Value, Failure> {
-    let Prepared { config, acceleration, melt_times, remarks } = prepare(&loaded.scene, &bodies.meta)?;
+    let Prepared { config, acceleration, melt_time, remarks } = prepare(&loaded.scene, bodies)?;
     for r in &remarks {
         sink.event(Event::Warning(r));
     }
-    for (o, t) in bodies.meta.objects.iter().zip(&melt_times) {
-        if t.is_finite() {
-            sink.event(Event::Note(&format!("{} would melt in about {}; heat runs {acceleration:.0} times faster", o.name, span(*t))));
-        }
+    if melt_time.is_finite() {
+        sink.event(Event::Note(&format!(
+            "in nature this would melt in about {}; heat runs {acceleration:.0} times faster",
+            span(melt_time)
+        )));
     }
     let total = frames(loaded);
     let fail = |e: megas_sim::solver::SimError| Failure::Input(e.to_string());

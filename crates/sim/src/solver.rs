@@ -165,6 +165,16 @@ impl Solver {
         })
     }
 
+    /// What the sources (and, last, the film of the air) would bring at the start, power \[W\] and area \[m²\], judged by one
+    /// very short exchange. Times and keyframes of the sources count as given; nothing changes.
+    pub fn probe_power(&mut self) -> Result<Vec<(f64, f64)>, SimError> {
+        const SHORT: f64 = 1e-4;
+        let backup = (self.particles.enthalpy.clone(), self.particles.temperature_gradient.clone());
+        self.heat(0.0, SHORT)?;
+        (self.particles.enthalpy, self.particles.temperature_gradient) = backup;
+        Ok(self.thermal.reports().iter().map(|r| (r.heat / SHORT, r.area)).collect())
+    }
+
     /// Gives all points of `object` a velocity \[m/s\]; meant for the start.
     pub fn set_object_velocity(&mut self, object: u16, velocity: [f32; 3]) {
         for i in 0..self.particles.len() {

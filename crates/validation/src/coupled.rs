@@ -3,12 +3,172 @@
 use megas_math::rng::Rng;
 use megas_math::svd::{polar_rotation, svd};
 use megas_math::{Mat3, mat3, quat};
-use megas_sim::phase::scale_deviator;
+use megas_model::{FLAG_INTERNAL, Points};
+use megas_sim::collider::{Collider, Shape};
+use megas_sim::grid::Grid;
+use megas_sim::material::{Law, Material, PhaseMode, Rheology};
+use megas_sim::phase::{PhaseOptions, scale_deviator};
+use megas_sim::solver::{Solver, SolverConfig};
+use megas_sim::source::{Film, HeatSource, Motion, Region, Schedule, SourceKind};
+use megas_sim::thermal::ThermalOptions;
 
 use crate::{Case, Row, Tier};
 
 /// The cases of this file.
-pub const CASES: &[Case] = &[Case { id: "V39", name: "elastic energy at phase switches", tier: Tier::A, run: switch_energetics }];
+pub const CASES: &[Case] = &[
+    Case { id: "V39", name: "elastic energy at phase switches", tier: Tier::A, run: switch_energetics },
+    Case { id: "V40", name: "a cube melts and freezes again", tier: Tier::B, run: melt_and_refreeze },
+    Case { id: "V45", name: "threads and restarts change no bit", tier: Tier::B, run: determinism },
+];
+
+/// A material that melts at 300 K over one kelvin.
+fn wax() -> Material {
+    let (shear_modulus, bulk_modulus) = Material::moduli(4e4, 0.3);
+    Material {
+        name: "test wax".into(),
+        law: Law::Hencky,
+        density: 900.0,
+        shear_modulus,
+        bulk_modulus,
+        solid_yield_stress: 2e3,
+        melt_shear_modulus: 0.3 * bulk_modulus,
+        melt: Rheology { yield_stress: 5.0, consistency: 1.0, index: 0.8 },
+        arrhenius_k: 0.0,
+        softening: 0.5,
+        reference_temperature: 280.0,
+        heat_capacity_solid: 2000.0,
+        heat_capacity_liquid: 2200.0,
+        conductivity_solid: 0.25,
+        conductivity_liquid: 0.2,
+        latent_heat: 2e5,
+        solidus: 299.5,
+        liquidus: 300.5,
+        phase_mode: PhaseMode::Mushy,
+    }
+}
+
+/// A cube of `cells`³ cells of 2 mm with eight points each, on a floor.
+fn cube(cells: usize, temperature: f32) -> (Grid, Points, Collider) {
+    let spacing = 2e-3;
+    let nodes = cells + 2 * 10;
+    let grid = Grid { origin: [0.0; 3], spacing, nodes: [nodes; 3] };
+    let mut points = Points::default();
+    let n = 2 * cells;
+    for i in 0..n * n * n {
+        let site = [i / (n * n), i / n % n, i % n];
+        points.position.push(site.map(|s| (10.0 + 0.5 * (s as f64 + 0.5)) * spacing));
+        points.volume.push((spacing / 2.0).powi(3) as f32);
+        points.temperature.push(temperature);
+        points.normal.push([0.0; 3]);
+        points.material.push(0);
+        points.object.push(1);
+        points.flags.push(FLAG_INTERNAL);
+        points.id.push(i as u32);
+    }
+    let floor = Collider { offset: 0.0, ..Collider::new(Shape::Plane { point: [0.0, 0.0, 10.0 * spacing], normal: [0.0, 0.0, 1.0] }) };
+    (grid, points, floor)
+}
+
+fn config(grid: Grid, material: Material, sources: Vec<HeatSource>) -> SolverConfig {
+    SolverConfig {
+        grid,
+        materials: vec![material],
+        sources,
+        colliders: Vec::new(),
+        collider_temperature: Vec::new(),
+        gravity: [0.0, 0.0, -9.81],
+        ambient: 293.15,
+        thermal: ThermalOptions::default(),
+        phase: PhaseOptions::default(),
+        frame_dt: 0.02,
+        coupling_step: 2e-3,
+        courant: 0.4,
+        mechanics: true,
+    }
+}
+
+/// V40: heating by power until all is liquid, cooling by a film until all is solid: the heat balance closes, the enthalpy
+/// rises by c ΔT and L as it should, and no point changes phase more than once on the way up and once on the way down.
+fn melt_and_refreeze() -> Vec<Row> {
+    let material = Material { conductivity_solid: 200.0, conductivity_liquid: 200.0, ..wax() };
+    let (grid, points, _) = cube(16, 290.0);
+    let mass: f64 = points.volume.iter().map(|&v| f64::from(v) * material.density).sum();
+    let need = mass * (material.latent_heat + 2000.0 * 10.0 + 2200.0 * 10.0);
+    let (up, down) = (2.0, 4.0);
+    let on = |interval: [f64; 2]| Schedule { intervals: vec![interval], ..Schedule::default() };
+    let area = 6.0 * (16.0f64 * 2e-3).powi(2);
+    let source =
+        |kind, interval| HeatSource { name: String::new(), region: Region::All, kind, schedule: on(interval), motion: Motion::default() };
+    let film = Film { ambient: 250.0, coefficient: 2.5 * need / (area * 45.0 * down), emissivity: 0.0 };
+    let sources = vec![
+        source(SourceKind::Power { watts: need / up }, [0.0, up]),
+        HeatSource { region: Region::Surface(None), ..source(SourceKind::Film(film), [up, up + down]) },
+    ];
+    let setup = SolverConfig { mechanics: false, frame_dt: 0.1, coupling_step: 0.01, ..config(grid, material.clone(), sources) };
+    let Ok(mut solver) = Solver::new(setup, &points) else { return vec![Row::new("the solver starts", 1.0, 0.0, 0.0)] };
+    let mut phase = vec![0u8; points.len()];
+    let mut switches = vec![0u32; points.len()];
+    let (mut liquid, mut heat) = (Vec::new(), 0.0);
+    while solver.time() < up + down - 1e-9 {
+        let Ok(Some(report)) = solver.advance_frame(&|| false) else { return vec![Row::new("the frame completes", 1.0, 0.0, 0.0)] };
+        heat += report.audit.map_or(0.0, |a| a.source);
+        liquid.push(report.liquid_fraction);
+        for (i, &p) in solver.export().phase.iter().enumerate() {
+            let molten = u8::from(p == 1);
+            switches[i] += u32::from(molten != phase[i]);
+            phase[i] = molten;
+        }
+    }
+    let highest = liquid.iter().copied().fold(0.0, f64::max);
+    let most = switches.iter().copied().max().unwrap_or(0);
+    vec![
+        Row::relative("heat brought in [J]", need, heat, 1e-6),
+        Row::new("liquid fraction when hottest", 1.0, highest, 1e-9),
+        Row::new("liquid fraction at the end", 0.0, liquid.last().copied().unwrap_or(1.0), 1e-9),
+        Row::new("phase switches of a point", 2.0, f64::from(most), 0.0),
+        Row::new("relative residual of the energy audit", 0.0, solver.totals().energy_residual(), 1e-4),
+    ]
+}
+
+/// V45: a melting, slumping cube, 200 coupling steps with 1, 2 and 4 threads, and once more through a checkpoint.
+fn determinism() -> Vec<Row> {
+    let (grid, points, floor) = cube(8, 299.0);
+    let lamp = HeatSource {
+        name: String::new(),
+        region: Region::Sphere { center: [0.022, 0.028, 0.034], radius: 0.014 },
+        kind: SourceKind::Flux { watts_per_m2: 4e6 },
+        schedule: Schedule::default(),
+        motion: Motion::default(),
+    };
+    let setup = SolverConfig { colliders: vec![floor], collider_temperature: vec![None], ..config(grid, wax(), vec![lamp]) };
+    let frames = 20;
+    let run = |threads: usize, restart: Option<u64>| -> Option<(u64, f64)> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()?;
+        pool.install(|| {
+            let mut solver = Solver::new(setup.clone(), &points).ok()?;
+            let mut liquid = 0.0;
+            for k in 0..frames {
+                if restart == Some(k) {
+                    let arrays: Vec<Vec<u8>> = solver.particles().arrays().into_iter().map(|(_, b)| b.to_vec()).collect();
+                    let checkpoint = solver.checkpoint();
+                    solver = Solver::new(setup.clone(), &points).ok()?;
+                    solver.restore(checkpoint, &arrays).ok()?;
+                }
+                liquid = solver.advance_frame(&|| false).ok()??.liquid_fraction;
+                solver.export();
+            }
+            Some((solver.particles().state_hash(), liquid))
+        })
+    };
+    let one = run(1, None);
+    let differs = |other: Option<(u64, f64)>| f64::from(u8::from(one.is_none() || other != one));
+    vec![
+        Row::new("liquid fraction at the end (some, not all)", 0.5, one.map_or(0.0, |o| o.1), 0.45),
+        Row::new("two threads differ from one", 0.0, differs(run(2, None)), 0.0),
+        Row::new("four threads differ from one", 0.0, differs(run(4, None)), 0.0),
+        Row::new("a restart at frame 9 differs", 0.0, differs(run(2, Some(9))), 0.0),
+    ]
+}
 
 /// Random strains melt and freeze: energy may only fall, volume and rotation stay.
 fn switch_energetics() -> Vec<Row> {
@@ -57,6 +217,16 @@ fn switch_energetics() -> Vec<Row> {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn v40() {
+        crate::assert_case("V40");
+    }
+
+    #[test]
+    fn v45() {
+        crate::assert_case("V45");
+    }
+
     #[test]
     fn v39() {
         crate::assert_case("V39");
