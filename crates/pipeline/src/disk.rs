@@ -25,6 +25,15 @@ pub fn write_atomic(path: &Path, fill: impl FnOnce(&mut AtomicFile) -> io::Resul
     megas_formats::write_atomic(path, true, fill).map_err(|e| Failure::Input(e.to_string()))
 }
 
+/// Makes sure, before long work, that `folder` can be written or created; leaves nothing behind.
+pub fn check_writable(folder: &Path) -> Result<(), Failure> {
+    let existing = folder.ancestors().find(|p| p.exists()).unwrap_or(Path::new("."));
+    let probe = existing.join(format!(".megas-{}.tmp", std::process::id()));
+    let outcome = std::fs::File::create(&probe).map_err(|e| explain("write into", existing, &e));
+    let _ = std::fs::remove_file(&probe);
+    outcome.map(|_| ())
+}
+
 /// Creates a folder with its parents.
 pub fn create_dir(path: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(path).map_err(|e| explain("create folder", path, &e))

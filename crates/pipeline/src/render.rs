@@ -135,8 +135,9 @@ fn skin(scene: &Scene, bodies: &Bodies) -> Skin {
         needle_aspect: scene.skin.max_stretch,
         needle_size: 2.0 * tau_scale,
     };
-    // Particles stand half a cell apart; κ = 0.7 of their distance makes them opaque together (splatting.md §7.2).
-    let radius = if scene.skin.show_inside { (0.7 * 0.5 * m.dx_m / unit) as f32 } else { 0.0 };
+    // Particles stand half a cell apart; κ = 0.55 of their distance makes them nearly opaque together and keeps
+    // edges crisp (splatting.md §7.2 has 0.7, which blurs them).
+    let radius = if scene.skin.show_inside { (0.55 * 0.5 * m.dx_m / unit) as f32 } else { 0.0 };
     let inside = bodies.points.position[bodies.surface.len()..].iter();
     let position = inside.map(|x| m.similarity.to_scene(*x).map(|v| v as f32)).collect();
     let internal = InternalKernels { colour: bodies.internal_rgb.clone(), position, radius };

@@ -79,12 +79,22 @@ fn bodies(loaded: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<(B
     }
     sink.event(Event::Stage { name: "fill", steps: 0 });
     let start = Instant::now();
+    crate::disk::check_writable(&options.out)?;
     let (bodies, figures) = build(loaded, sink)?;
     // Only now: a scene that does not work out leaves nothing behind.
-    stage.begin()?;
-    crate::disk::write_text(&options.out.join("scene.toml"), &loaded.text)?;
-    bodies.write(&stage.path)?;
-    stage.finish(&figures)?;
+    let existed = options.out.exists();
+    let written = stage.begin().and_then(|()| {
+        crate::disk::write_text(&options.out.join("scene.toml"), &loaded.text)?;
+        bodies.write(&stage.path)?;
+        stage.finish(&figures)
+    });
+    if let Err(e) = written {
+        let _ = std::fs::remove_dir_all(&stage.path);
+        if !existed {
+            let _ = std::fs::remove_dir_all(&options.out);
+        }
+        return Err(e);
+    }
     sink.event(Event::StageDone { name: "fill", seconds: start.elapsed().as_secs_f64() });
     Ok((bodies, figures, key))
 }
