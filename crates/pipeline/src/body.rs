@@ -112,7 +112,8 @@ fn from_file(loaded: &LoadedScene, path: &Path, objects: &[Object], sink: &dyn S
     if objects.iter().any(|o| !o.parts.is_empty()) {
         return Err(Failure::Input("`parts` belong to embedded assets; use `select` for a splat file".into()));
     }
-    let splats = file.splats;
+    let mut splats = file.splats;
+    tame_highlights(&mut splats);
     let up = scene.input.up.0;
     let mut taken = vec![false; splats.len()];
     let mut masks = Vec::new();
@@ -238,6 +239,24 @@ fn check_box(scene: &Scene, bounds: &megas_body::select::RobustBox, metres_per_u
     Ok(())
 }
 
+/// Splats of a file that no view sees with at least this blend weight are left out: hidden now, they would come to light as
+/// specks when the surface opens (splatting.md §5.6).
+const PRUNE_BELOW: f32 = 0.06;
+
+/// Largest base colour kept. Trained models make highlights of faint splats that are many times brighter than white; carried
+/// away from what covers them, they glow.
+const BRIGHTEST: f32 = 1.1;
+
+/// Cuts colours beyond [`BRIGHTEST`] in the first coefficient.
+fn tame_highlights(splats: &mut Splats) {
+    let (stride, most) = (splats.sh_stride(), megas_math::sh::dc_from_rgb(BRIGHTEST));
+    for c in splats.sh.chunks_exact_mut(stride) {
+        for dc in &mut c[..3] {
+            *dc = dc.min(most);
+        }
+    }
+}
+
 /// Where splats come from.
 #[derive(Clone, Copy)]
 enum Source {
@@ -268,7 +287,10 @@ fn one_body(
         material: index as u8,
         temperature_k: None,
         first_id: 0,
-        prune_below: if matches!(source, Source::Asset) { None } else { BodySettings::default().prune_below },
+        prune_below: match source {
+            Source::Asset => None,
+            Source::File { .. } => Some(PRUNE_BELOW),
+        },
         split: None,
         orient: OrientSettings { views: f.normal_views.next_multiple_of(2).max(16) as usize, ..OrientSettings::default() },
         fill: FillSettings {

@@ -8,11 +8,11 @@ use crate::convert::resolve_material;
 use crate::{Failure, LoadedScene, Options};
 
 /// Point updates per second and core on a desktop processor, for the estimate of time.
-const UPDATES_PER_CORE_S: f64 = 4.0e6;
+const UPDATES_PER_CORE_S: f64 = 7.0e6;
 /// Bytes per point: state, its backup, sorting, a frame being written.
 const BYTES_PER_POINT: f64 = 1200.0;
 /// Share of its bounding cube that an object fills, for the estimate of points (a ball has 0.52, a torus 0.2).
-const FILLED: f64 = 0.3;
+const FILLED: f64 = 0.25;
 /// Core-seconds per picture and megapixel, both films.
 const CORE_S_PER_MEGAPIXEL: f64 = 0.6;
 
@@ -63,7 +63,7 @@ pub fn plan(loaded: &LoadedScene, options: &Options) -> Result<Value, Failure> {
         "picture": [w, h],
         "threads": threads,
         "memory_mib_estimate": (points * BYTES_PER_POINT / f64::from(1 << 20) + 64.0).round(),
-        "disk_mib_estimate": (points * 140.0 * frames as f64 / f64::from(1 << 20)).round(),
+        "disk_mib_estimate": (points * 90.0 * frames as f64 / f64::from(1 << 20)).round(),
         "simulate_s_estimate": simulate.round(),
         "render_s_estimate": render.round(),
         "remarks": remarks,

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use megas_model::PointFrame;
+use megas_model::{FLAG_SPLAT, PointFrame};
 use megas_sim::solver::{Checkpoint, FrameReport, Solver, Totals, repaired};
 use serde_json::{Value, json};
 
@@ -130,14 +130,19 @@ fn span(seconds: f64) -> String {
     }
 }
 
+/// Writes a frame. Tensors are kept for the points that carry splats only (they come first), and rebase matrices only where
+/// one is not the identity: together half of the bytes.
 fn write_frame(folder: &Path, index: u64, f: &PointFrame, report: Option<&FrameReport>) -> Result<(), Failure> {
-    let mut t = Table::new(json!({"frame": index, "time": f.time, "points": f.id.len(), "report": report}));
+    const IDENTITY: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let splats = f.flags.iter().take_while(|&&g| g & FLAG_SPLAT != 0).count();
+    let rebased = f.rebase[..splats].iter().any(|b| *b != IDENTITY);
+    let mut t = Table::new(json!({"frame": index, "time": f.time, "points": f.id.len(), "splats": splats, "report": report}));
     t.push("id", &f.id);
     t.push("position", &f.position);
-    t.push("elastic", &f.elastic);
-    t.push("total", &f.total);
-    t.push("rebase", &f.rebase);
-    t.push("normal", &f.normal);
+    t.push("elastic", &f.elastic[..splats]);
+    t.push("total", &f.total[..splats]);
+    t.push("rebase", if rebased { &f.rebase[..splats] } else { &[] });
+    t.push("normal", &f.normal[..splats]);
     t.push("temperature", &f.temperature);
     t.push("liquid", &f.liquid);
     t.push("phase", &f.phase);
@@ -145,20 +150,22 @@ fn write_frame(folder: &Path, index: u64, f: &PointFrame, report: Option<&FrameR
     t.write(&frame_path(folder, "frame", index as usize, "bin"))
 }
 
-/// Reads one frame of the simulation.
+/// Reads one frame of the simulation; tensors and normals of the points with splats only, rebase matrices empty if nothing
+/// was rebased.
 pub fn read_frame(folder: &Path, index: u64) -> Result<PointFrame, Failure> {
     let path = frame_path(folder, "frame", index as usize, "bin");
     let mut t = Table::read(&path)?;
     let bad = |e: String| Failure::Input(format!("{}: {e}; use --force to compute it again", path.display()));
     let n = t.meta["points"].as_u64().unwrap_or(0) as usize;
+    let splats = t.meta["splats"].as_u64().unwrap_or(0) as usize;
     Ok(PointFrame {
         time: t.meta["time"].as_f64().unwrap_or(0.0),
         id: t.take_rows("id", n).map_err(bad)?,
         position: t.take_rows("position", n).map_err(bad)?,
-        elastic: t.take_rows("elastic", n).map_err(bad)?,
-        total: t.take_rows("total", n).map_err(bad)?,
-        rebase: t.take_rows("rebase", n).map_err(bad)?,
-        normal: t.take_rows("normal", n).map_err(bad)?,
+        elastic: t.take_rows("elastic", splats).map_err(bad)?,
+        total: t.take_rows("total", splats).map_err(bad)?,
+        rebase: t.take("rebase").map_err(bad)?,
+        normal: t.take_rows("normal", splats).map_err(bad)?,
         temperature: t.take_rows("temperature", n).map_err(bad)?,
         liquid: t.take_rows("liquid", n).map_err(bad)?,
         phase: t.take_rows("phase", n).map_err(bad)?,

@@ -80,7 +80,7 @@ impl Skin {
         self.surface.len() + self.internal.colour.len()
     }
 
-    /// Takes in the rebase events of one frame. Only the elastic source rebases (splatting.md §8.2).
+    /// Takes in the rebase events of one frame (none where its array is empty). Only the elastic source rebases (splatting.md §8.2).
     pub fn advance(&mut self, frame: &PointFrame) {
         if self.settings.push != Push::Elastic {
             return;

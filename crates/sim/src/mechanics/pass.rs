@@ -8,7 +8,7 @@ use megas_math::{Mat3, mat3, svd};
 use megas_model::{FLAG_ESCAPED, FLAG_REPAIRED};
 
 use super::constitutive::{Mask, Parameters, respond};
-use super::transfer::{CHUNK, Stencils, TILE, TILE_ORIGIN, Tile, gather, scatter};
+use super::transfer::{CHUNK, Stencils, TILE, TILE_ORIGIN, Tile, complete_tracer, gather, scatter};
 use super::view::View;
 use super::{Bounds, Repairs};
 use crate::particles::{AXIS_BITS, AXIS_MASK, FIXED_COROTATED, FLUID, HENCKY, MARGIN, pack, rebased, unpack};
@@ -186,6 +186,11 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
             }
             gather(s, from, &stencils, valid, &mut records);
             records[valid..].fill(Record::ZERO);
+            for p in 0..valid {
+                if view.mass[base + p] == 0.0 && complete_tracer(from, &stencils, p, &mut records[p]) {
+                    view.flags[base + p] |= FLAG_ESCAPED;
+                }
+            }
         }
         for sub in (0..CHUNK).step_by(lanes) {
             let at = base + sub;
@@ -477,8 +482,11 @@ fn repair<S: Simd>(_s: S, view: &mut View, at: usize, mut lanes: u64, h: &mut Ma
         let lane = lanes.trailing_zeros() as usize;
         lanes &= lanes - 1;
         let Some(flags) = view.flags.get_mut(at + lane) else { continue };
-        *flags |= FLAG_REPAIRED;
-        outcome.repairs.degenerate += 1;
+        // A tracer carries neither mass nor stress; resetting its gradient changes the shape of a splat and nothing that moves.
+        if view.mass[at + lane] > 0.0 {
+            *flags |= FLAG_REPAIRED;
+            outcome.repairs.degenerate += 1;
+        }
         let f: Mat3<f32> = std::array::from_fn(|r| std::array::from_fn(|c| h[r][c][lane] + f32::from(u8::from(r == c))));
         let finite = f.iter().flatten().all(|x| x.abs() < 1e15);
         // The stored gradient is the last valid one.

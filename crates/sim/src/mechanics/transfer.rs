@@ -142,6 +142,46 @@ pub(crate) fn gather<S: Simd>(s: S, tile: &Tile, st: &Stencils, count: usize, ou
     }
 }
 
+/// Share of a tracer's stencil without matter beyond which nothing carries it any more.
+const LOST: f32 = 0.98;
+
+/// Completes the G2P record of a tracer whose stencil reaches beyond the matter: empty nodes take the mean velocity of the
+/// others, as if the weights were renormalised. (Mass points never meet empty nodes.) Without this the skin lags behind the
+/// body it lies on. Returns true where there is no matter to follow.
+pub(crate) fn complete_tracer(tile: &Tile, st: &Stencils, p: usize, record: &mut Record) -> bool {
+    let g = st.gz[p];
+    let wz = [0.5 * (0.5 - g) * (0.5 - g), 0.75 - g * g, 0.5 * (0.5 + g) * (0.5 + g)];
+    // Σ w, Σ w d_x, Σ w d_y, Σ w d_z over the empty nodes.
+    let mut empty = [0.0f32; 4];
+    for i in 0..3 {
+        for j in 0..3 {
+            let o = row(st.first[p], i, j);
+            for k in 0..3 {
+                if tile.0[o + 4 * k + 3] <= 0.0 {
+                    let (wx, wy) = (st.wx[i][p], st.wy[j][p]);
+                    empty[0] += wx * wy * wz[k];
+                    empty[1] += st.dx[i][p] * wy * wz[k];
+                    empty[2] += wx * st.dy[j][p] * wz[k];
+                    empty[3] += wx * wy * wz[k] * (k as f32 - 1.0 - g);
+                }
+            }
+        }
+    }
+    if empty[0] > LOST {
+        return true;
+    }
+    if empty[0] > 0.0 {
+        for a in 0..3 {
+            let mean = record.0[a] / (1.0 - empty[0]);
+            record.0[a] = mean;
+            for axis in 1..4 {
+                record.0[4 * axis + a] += mean * empty[axis];
+            }
+        }
+    }
+    false
+}
+
 /// P2G of the first `count` points: record `[m v, m, A_x, 0, A_y, 0, A_z, 0]` with the columns of `A` per node spacing. Returns
 /// the regions of the tile that were touched (see [`touched`]).
 #[inline(always)]
