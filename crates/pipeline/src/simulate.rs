@@ -46,9 +46,11 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
         }
     }
     stage.begin()?;
-    let resumed = matches!(found, Found::Partial) && resume(&mut solver, &stage.path);
+    let resumed = if matches!(found, Found::Partial) { resume(&mut solver, &stage.path) } else { None };
+    // The slot of the ring to write next: never the one that holds the newest checkpoint.
+    let mut slot = resumed.map_or(0, |used| 1 - used);
     sink.event(Event::Stage { name: "simulate", steps: total - 1 });
-    if resumed {
+    if resumed.is_some() {
         sink.event(Event::Note(&format!("continuing at frame {} of {total}", solver.frames_done())));
     } else {
         write_frame(&stage.path, 0, &solver.export(), None)?;
@@ -57,7 +59,7 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     let start = Instant::now();
     while solver.frames_done() + 1 < total {
         let Some(report) = solver.advance_frame(&|| sink.cancelled()).map_err(fail)? else {
-            save_checkpoint(&solver, &stage.path)?;
+            save_checkpoint(&solver, &stage.path, &mut slot)?;
             return Err(Failure::Interrupted(format!(
                 "stopped at frame {} of {total}; run the same command again to continue",
                 solver.frames_done()
@@ -67,7 +69,7 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
         let frame = solver.export();
         write_frame(&stage.path, report.frame, &frame, Some(&report))?;
         if report.frame % CHECKPOINT_EVERY == 0 || report.frame + 1 == total {
-            save_checkpoint(&solver, &stage.path)?;
+            save_checkpoint(&solver, &stage.path, &mut slot)?;
         }
         sink.event(Event::Step { done: solver.frames_done() });
     }
@@ -176,34 +178,36 @@ pub fn read_frame(folder: &Path, index: u64) -> Result<PointFrame, Failure> {
 /// The ring: the older of the two is overwritten, so one is always whole.
 const CHECKPOINTS: [&str; 2] = ["checkpoint_a.bin", "checkpoint_b.bin"];
 
-fn save_checkpoint(solver: &Solver, folder: &Path) -> Result<(), Failure> {
+fn save_checkpoint(solver: &Solver, folder: &Path, slot: &mut usize) -> Result<(), Failure> {
     let checkpoint = solver.checkpoint();
     let meta = serde_json::to_value(&checkpoint).map_err(|e| Failure::Other(e.to_string()))?;
     let mut t = Table::new(meta);
     for (k, (_, bytes)) in solver.particles().arrays().into_iter().enumerate() {
         t.push(&k.to_string(), bytes);
     }
-    let slot = (solver.frames_done() / CHECKPOINT_EVERY) as usize % 2;
-    t.write(&folder.join(CHECKPOINTS[slot]))
+    t.write(&folder.join(CHECKPOINTS[*slot]))?;
+    *slot = 1 - *slot;
+    Ok(())
 }
 
-/// Continues from the newest checkpoint that is whole and fits; false starts over.
-fn resume(solver: &mut Solver, folder: &Path) -> bool {
-    let mut candidates: Vec<(Checkpoint, Table)> = CHECKPOINTS
+/// Continues from the newest checkpoint that is whole and fits and tells its slot; `None` starts over.
+fn resume(solver: &mut Solver, folder: &Path) -> Option<usize> {
+    let mut candidates: Vec<(Checkpoint, Table, usize)> = CHECKPOINTS
         .iter()
-        .filter_map(|name| {
+        .enumerate()
+        .filter_map(|(slot, name)| {
             let mut t = Table::read(&folder.join(name)).ok()?;
             let meta = serde_json::from_value(t.meta.take()).ok()?;
-            Some((meta, t))
+            Some((meta, t, slot))
         })
         .collect();
     candidates.sort_by_key(|c| std::cmp::Reverse(c.0.frame));
-    for (checkpoint, mut table) in candidates {
+    for (checkpoint, mut table, slot) in candidates {
         let arrays: Vec<Vec<u8>> = (0..).map_while(|k: usize| table.take(&k.to_string()).ok()).collect();
         let whole = (0..=checkpoint.frame).all(|k| frame_path(folder, "frame", k as usize, "bin").exists());
         if whole && solver.restore(checkpoint, &arrays).is_ok() {
-            return true;
+            return Some(slot);
         }
     }
-    false
+    None
 }

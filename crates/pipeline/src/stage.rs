@@ -43,8 +43,12 @@ impl StageDir {
             return Ok((stage, Found::Nothing));
         };
         if found["key"] == json!(stage.key) {
-            let state = if found["done"] == json!(true) { Found::Done(found["figures"].clone()) } else { Found::Partial };
-            return Ok((stage, state));
+            if found["done"] == json!(true) {
+                return Ok((stage, Found::Done(found["figures"].clone())));
+            }
+            sweep(&stage.path);
+            sweep(&options.out);
+            return Ok((stage, Found::Partial));
         }
         if !options.force {
             return Err(Failure::Input(format!(
@@ -69,6 +73,17 @@ impl StageDir {
 
     fn marker(&self) -> PathBuf {
         self.path.join("stage.json")
+    }
+}
+
+/// Removes files that a killed run left half-written (see `megas_formats::AtomicFile`).
+fn sweep(folder: &Path) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        if name.starts_with(".megas-") && name.ends_with(".part") {
+            let _ = std::fs::remove_file(entry.path());
+        }
     }
 }
 
@@ -126,7 +141,9 @@ mod tests {
         let (stage, found) = StageDir::open(&options(dir.path(), false), "sim", "a".into())?;
         assert!(matches!(found, Found::Nothing) && !stage.path.exists());
         stage.begin()?;
+        std::fs::write(stage.path.join(".megas-x.part"), "half a frame")?;
         assert!(matches!(StageDir::open(&options(dir.path(), false), "sim", "a".into())?.1, Found::Partial));
+        assert!(!stage.path.join(".megas-x.part").exists());
         stage.finish(&json!({"frames": 7}))?;
         let (_, found) = StageDir::open(&options(dir.path(), false), "sim", "a".into())?;
         assert!(matches!(found, Found::Done(v) if v["frames"] == 7));

@@ -1,0 +1,78 @@
+//! The main job at a toy size: it runs, its books close, and an interruption changes no byte.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use megas_pipeline::{DEMO_SCENE, Event, Failure, LoadedScene, Options, Sink, run};
+use megas_scene::Scene;
+
+/// Stops the simulation once `stop_at` of its frames are done.
+struct Impatient {
+    stop_at: u64,
+    done: AtomicU64,
+}
+
+impl Impatient {
+    fn after(stop_at: u64) -> Self {
+        Self { stop_at, done: AtomicU64::new(0) }
+    }
+}
+
+impl Sink for Impatient {
+    fn event(&self, event: Event<'_>) {
+        if let Event::Step { done } = event {
+            self.done.store(done, Ordering::Relaxed);
+        }
+    }
+
+    fn cancelled(&self) -> bool {
+        self.done.load(Ordering::Relaxed) >= self.stop_at
+    }
+}
+
+fn toy() -> LoadedScene {
+    let mut scene = Scene::parse(DEMO_SCENE, "demo.toml").expect("the demo scene is valid");
+    scene.simulation.cells = Some(10);
+    scene.time.duration_s = 0.4;
+    scene.time.melt_in_s = Some(0.2);
+    scene.output.ply_every = 5;
+    (scene.output.width, scene.output.height) = (Some(160), Some(120));
+    LoadedScene { text: scene.to_toml(), scene, base_dir: Path::new(".").to_path_buf() }
+}
+
+fn options(out: &Path, threads: usize) -> Options {
+    Options { out: out.to_path_buf(), force: false, threads: Some(threads) }
+}
+
+#[test]
+fn a_run_closes_its_books_and_an_interruption_changes_no_byte() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let (whole, parts) = (dir.path().join("whole"), dir.path().join("parts"));
+    let scene = toy();
+    let result = run(&scene, &options(&whole, 2), &Impatient::after(u64::MAX)).expect("the run completes");
+    assert_eq!(result["frames"], 10);
+    assert_eq!(result["repairs"], 0);
+    assert!(result["energy_residual"].as_f64().is_some_and(|r| r < 1e-10), "{result}");
+    assert!(result["volume_change"].as_f64().is_some_and(|v| v < 0.02), "{result}");
+    assert_eq!(result["films"].as_array().map(Vec::len), Some(3));
+
+    let stopped = run(&scene, &options(&parts, 1), &Impatient::after(6));
+    assert!(matches!(stopped, Err(Failure::Interrupted(_))), "{stopped:?}");
+    // As after a kill: the newest checkpoint is damaged and a half-written file lies about.
+    let newest = parts.join("sim/checkpoint_b.bin");
+    assert!(newest.exists() && parts.join("sim/checkpoint_a.bin").exists());
+    std::fs::write(&newest, "cut off").expect("damage the checkpoint");
+    std::fs::write(parts.join("sim/.megas-x.part"), "half").expect("leave a trace");
+    run(&scene, &options(&parts, 1), &Impatient::after(u64::MAX)).expect("the run is resumed");
+    for name in ["sim/frame_00009.bin", "frames/rgb_00009.png", "frames/thermal_00004.png", "film.mp4", "splats/frame_00005.ply"] {
+        let read = |root: &Path| std::fs::read(root.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert!(read(&whole) == read(&parts), "{name} differs after the interruption");
+    }
+    assert!(!parts.join("sim/.megas-x.part").exists());
+
+    // A second time everything is up to date; another scene in the same folder is refused.
+    run(&scene, &options(&whole, 1), &Impatient::after(u64::MAX)).expect("nothing to do");
+    let mut other = toy();
+    other.scene.simulation.cells = Some(11);
+    assert!(matches!(run(&other, &options(&whole, 1), &Impatient::after(u64::MAX)), Err(Failure::Input(_))));
+}
