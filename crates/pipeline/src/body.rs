@@ -188,9 +188,9 @@ fn from_asset(scene: &Scene, objects: &[Object], sink: &dyn Sink) -> Result<(Bod
     let longest = (0..3).map(|a| f64::from(hi[a] - lo[a])).fold(0.0, f64::max);
     let natural = f64::from(METRES_PER_UNIT) * longest;
     let size_m = if scene.objects.iter().any(|o| o.size_m.is_some()) { size_m } else { natural };
-    // Splats about a third of a simulator cell apart: coarser ones open cracks, finer ones only cost time.
-    let spacing = ((longest / f64::from(scene.cells())) as f32 * 0.25).clamp(0.006, 0.02);
-    let sprinkle = Sprinkle { spacing: spacing.min(Sprinkle::default().spacing), seed: scene.seed.wrapping_add(1), ..Sprinkle::default() };
+    // About six splats along a simulator cell: coarser ones open cracks, finer ones only cost time.
+    let spacing = ((longest / f64::from(scene.cells())) as f32 * 0.152).clamp(0.0085, 0.02);
+    let sprinkle = Sprinkle { spacing, seed: scene.seed.wrapping_add(1), ..Sprinkle::default() };
     let splats = sundae.sprinkle(&sprinkle);
     let simulated: Vec<bool> = splats.object_id.iter().map(|id| object_of_part.contains_key(id)).collect();
     let chosen = splats.select(&indices(&simulated, true));
