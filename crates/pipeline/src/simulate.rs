@@ -40,7 +40,9 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     let total = frames(loaded);
     let fail = |e: megas_sim::solver::SimError| Failure::Input(e.to_string());
     let mut solver = Solver::new(config, &bodies.points).map_err(fail)?;
+    let mut moving = false;
     for (k, o) in crate::body::scene_objects(&loaded.scene).iter().enumerate() {
+        moving |= o.initial_velocity_m_s.is_some();
         if let Some(v) = o.initial_velocity_m_s {
             solver.set_object_velocity(k as u16 + 1, v.map(|c| c as f32));
         }
@@ -53,6 +55,9 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     if resumed.is_some() {
         sink.event(Event::Note(&format!("continuing at frame {} of {total}", solver.frames_done())));
     } else {
+        if !moving {
+            solver.settle(loaded.scene.simulation.settle_s).map_err(fail)?;
+        }
         write_frame(&stage.path, 0, &solver.export(), None)?;
     }
     sink.event(Event::Step { done: solver.frames_done() });

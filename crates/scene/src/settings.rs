@@ -130,6 +130,10 @@ pub struct Simulation {
     /// Share of the stable time step that is used.
     #[schemars(range(min = 0.05, max = 0.7))]
     pub courant: f64,
+    /// Time before the film in which solids settle under their weight, strongly damped, in seconds; 0 starts at once. Left out
+    /// where an object has a velocity at the start.
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub settle_s: f64,
     /// Longest time between two exchanges of heat, in seconds.
     #[schemars(range(min = 1e-5, max = 0.05))]
     pub coupling_step_s: f64,
@@ -146,6 +150,7 @@ impl Default for Simulation {
             hysteresis_k: 1.0,
             box_m: None,
             courant: 0.4,
+            settle_s: 0.25,
             coupling_step_s: 0.002,
         }
     }

@@ -184,6 +184,28 @@ impl Solver {
         }
     }
 
+    /// Lets solids find their rest under gravity before time starts: mechanics alone, strongly damped, for `seconds`. Without it
+    /// a film begins with the jolt of a body that feels its own weight at once. Time, heat and totals do not move.
+    pub fn settle(&mut self, seconds: f64) -> Result<(), SimError> {
+        /// Drag while settling \[1/s\]: near critical for bodies of some centimetres.
+        const DRAG: f64 = 60.0;
+        if !self.config.mechanics || seconds <= 0.0 {
+            return Ok(());
+        }
+        let steps = (seconds / self.config.coupling_step).ceil().max(1.0);
+        self.mechanics.settings.drag = DRAG;
+        for _ in 0..steps as u64 {
+            self.move_points(0.0, seconds / steps, &mut FrameReport::default())?;
+        }
+        self.mechanics.settings.drag = 0.0;
+        for i in 0..self.particles.len() {
+            self.particles.set_velocity(i, [0.0; 3]);
+            self.particles.set_affine(i, [[0.0; 3]; 3]);
+        }
+        self.particles.sort();
+        Ok(())
+    }
+
     /// Frames done so far.
     pub fn frames_done(&self) -> u64 {
         self.frame
