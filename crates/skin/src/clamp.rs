@@ -17,7 +17,8 @@ impl NeedleLimit {
     pub fn new(sigma0: Mat3<f64>, aspect: f64, size: f64) -> Self {
         let (w, _) = svd::eigen_symmetric(sigma0);
         let s = w.map(|v| v.max(0.0).sqrt());
-        Self { aspect: aspect.max(s[0] / s[1].max(1e-30)), size: size.max(s[0]) }
+        // No kernel grows to more than twice its length: small ones pulled to the bound of large ones are needles.
+        Self { aspect: aspect.max(s[0] / s[1].max(1e-30)), size: size.min(2.0 * s[0]).max(s[0]) }
     }
 }
 
