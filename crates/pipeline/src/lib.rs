@@ -114,7 +114,7 @@ pub struct LoadedScene {
 impl LoadedScene {
     /// Reads and validates a scene file.
     pub fn open(path: &Path) -> Result<Self, Failure> {
-        let text = std::fs::read_to_string(path).map_err(|e| disk::explain("read scene file", path, &e))?;
+        let text = Scene::read(path).map_err(|e| Failure::Input(e.to_string()))?;
         let name = path.display().to_string();
         let scene = Scene::parse(&text, &name).map_err(|e| Failure::Input(e.to_string()))?;
         let base_dir = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
