@@ -14,9 +14,7 @@ pub fn colliders(scene: &Scene, meta: &BodyMeta) -> Result<(Vec<Collider>, Vec<O
     let kelvin = |c: Option<f64>| c.map(|c| (c + CELSIUS_K) as f32);
     let support = &scene.support;
     if support.enabled {
-        let longest = (0..3).map(|a| meta.box_max[a] - meta.box_min[a]).fold(0.0, f64::max);
-        let point = [0.0, 0.0, meta.support_z + support.raise * longest];
-        let shape = Shape::Plane { point, normal: [0.0, 0.0, 1.0] };
+        let shape = Shape::Plane { point: [0.0, 0.0, support_height(scene, meta)], normal: [0.0, 0.0, 1.0] };
         out.push(Collider {
             mode: mode(support.mode),
             friction: support.friction,
@@ -32,6 +30,12 @@ pub fn colliders(scene: &Scene, meta: &BodyMeta) -> Result<(Vec<Collider>, Vec<O
         temperature.push(kelvin(c.temperature_c));
     }
     Ok((out, temperature))
+}
+
+/// Height of the support plane \[m\].
+pub fn support_height(scene: &Scene, meta: &BodyMeta) -> f64 {
+    let longest = (0..3).map(|a| meta.box_max[a] - meta.box_min[a]).fold(0.0, f64::max);
+    meta.support_z + scene.support.raise * longest
 }
 
 fn mode(m: ColliderMode) -> Mode {

@@ -8,6 +8,7 @@ use megas_scene::{
     AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, MotionKey, Object, Placement, Quantity, Region, ResolvedMaterial, Scene, Severity,
     SiShape,
 };
+use megas_sim::collider::SCENE_CONTACT_OFFSET;
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
 use megas_sim::particles::MAX_NODES;
@@ -20,6 +21,7 @@ use megas_sim::thermal::{AirModel, ThermalOptions, natural_film_coefficient};
 
 use crate::Failure;
 use crate::body::{Bodies, BodyMeta, scene_objects, total_height};
+use crate::colliders::support_height;
 
 /// What sources need to know about the bodies.
 pub struct HeatContext<'a> {
@@ -342,8 +344,9 @@ pub fn prepare(scene: &Scene, bodies: &Bodies) -> Result<Prepared, Failure> {
     Ok(Prepared { config, acceleration: factor, melt_time, remarks })
 }
 
-/// The simulation box (simulation.md §0.1): room to spread at the sides, a little above, the support four cells above the
-/// lowest nodes.
+/// The simulation box (simulation.md §0.1): room to spread at the sides, a little above, the support six cells above the
+/// lowest nodes. A layer of nodes lies just below the contact level of the support: were it left to chance, the first nodes
+/// that hold matter could be anywhere within a cell below that level, and matter would sink to them.
 fn grid(scene: &Scene, meta: &BodyMeta) -> Result<Grid, Failure> {
     let dx = meta.dx_m;
     let size: [f64; 3] = std::array::from_fn(|a| meta.box_max[a] - meta.box_min[a]);
@@ -363,6 +366,10 @@ fn grid(scene: &Scene, meta: &BodyMeta) -> Result<Grid, Failure> {
         };
         let bottom = if a == 2 { meta.support_z.min(meta.box_min[2]) } else { meta.box_min[a] };
         lo[a] = bottom - below;
+        if a == 2 && scene.support.enabled {
+            let contact = support_height(scene, meta) + (SCENE_CONTACT_OFFSET - 1e-3) * dx;
+            lo[a] = contact - ((contact - lo[a]) / dx).ceil() * dx;
+        }
         nodes[a] = ((meta.box_max[a] + above - lo[a]) / dx).ceil() as usize + 1;
         if nodes[a] > MAX_NODES {
             return Err(Failure::Input(format!(

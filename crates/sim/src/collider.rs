@@ -126,10 +126,13 @@ pub struct Collider {
     pub melt_sticks: bool,
 }
 
+/// Contact level of scene colliders \[node spacings\]: the kernel sees a wall half a node early.
+pub const SCENE_CONTACT_OFFSET: f64 = -0.5;
+
 impl Collider {
     /// A scene collider: separate, friction 0.4, half a spacing of overlap, melts stick.
     pub fn new(shape: Shape) -> Self {
-        Self { shape, mode: Mode::Separate, friction: 0.4, offset: -0.5, melt_sticks: true }
+        Self { shape, mode: Mode::Separate, friction: 0.4, offset: SCENE_CONTACT_OFFSET, melt_sticks: true }
     }
 }
 

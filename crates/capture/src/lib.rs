@@ -1,0 +1,1 @@
+//! A folder of posed photographs to views.
