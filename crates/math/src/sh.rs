@@ -43,6 +43,39 @@ pub fn basis<T: Real>(d: Vec3<T>) -> [T; 16] {
     ]
 }
 
+/// Gradients of the basis functions with respect to `d`, each as the polynomial it is written as (splatting.md §4.4): `d` is
+/// not normalised on the way.
+#[inline(always)]
+pub fn basis_gradient<T: Real>(d: Vec3<T>) -> [Vec3<T>; 16] {
+    let [x, y, z] = d;
+    let c = T::of;
+    let o = T::zero();
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let (a, b) = (c(0.488_602_511_902_919_9), c(1.092_548_430_592_079_2));
+    let (e, g) = (c(0.590_043_589_926_643_5), c(0.457_045_799_464_465_8));
+    let (h, i, j) = (c(2.890_611_442_640_554), c(0.373_176_332_590_115_4), c(1.445_305_721_320_277));
+    let (p, q) = (c(0.315_391_565_252_520_05), c(0.546_274_215_296_039_6));
+    let (two, three, four, six, eight) = (c(2.0), c(3.0), c(4.0), c(6.0), c(8.0));
+    [
+        [o, o, o],
+        [o, -a, o],
+        [o, o, a],
+        [-a, o, o],
+        [b * y, b * x, o],
+        [o, -b * z, -b * y],
+        [-two * p * x, -two * p * y, four * p * z],
+        [-b * z, o, -b * x],
+        [two * q * x, -two * q * y, o],
+        [-six * e * x * y, -three * e * (xx - yy), o],
+        [h * y * z, h * x * z, h * x * y],
+        [two * g * x * y, -g * (four * zz - xx - three * yy), -eight * g * y * z],
+        [-six * i * x * z, -six * i * y * z, i * (six * zz - three * xx - three * yy)],
+        [-g * (four * zz - three * xx - yy), two * g * x * y, -eight * g * x * z],
+        [two * j * x * z, -two * j * y * z, j * (xx - yy)],
+        [-three * e * (xx - yy), six * e * x * y, o],
+    ]
+}
+
 /// Colour seen along `d`: `max(0, ½ + Σ Y_k c_k)` per channel, with `coefficients[k * 3 + channel]`.
 pub fn colour<T: Real>(degree: u8, coefficients_rgb: &[T], d: Vec3<T>) -> [T; 3] {
     let y = basis(d);
@@ -142,6 +175,23 @@ pub fn rotate(degree: u8, coefficients_rgb: &mut [f32], r: Mat3<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn basis_gradients_match_finite_differences() {
+        let d = [0.37, -0.58, 0.81];
+        let g = basis_gradient::<f64>(d);
+        for a in 0..3 {
+            let step = |h: f64| {
+                let mut d = d;
+                d[a] += h;
+                basis(d)
+            };
+            let (hi, lo) = (step(1e-5), step(-1e-5));
+            for k in 0..16 {
+                assert!(((hi[k] - lo[k]) / 2e-5 - g[k][a]).abs() < 1e-9, "{k} {a}");
+            }
+        }
+    }
     use crate::{quat, rng::Rng};
 
     #[test]
