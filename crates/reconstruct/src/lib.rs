@@ -1,1 +1,3 @@
 //! Views to splats that survive melting.
+
+pub mod loss;
