@@ -26,6 +26,8 @@ pub struct Frame {
     pub median_depth: Vec<f32>,
     /// Raw blended normal `Σ w n`, world axes, every `n` turned to the camera.
     pub normal: Vec<[f32; 3]>,
+    /// Raw blended signed distance of the camera from the Gaussians' planes, `Σ w n·(μ − c)` \[scene units\].
+    pub plane: Vec<f32>,
     /// Raw blended temperature `Σ w T` \[K\]; see [`Frame::kelvin`].
     pub temperature: Vec<f32>,
     /// Index of the Gaussian with the largest weight (the nearest of equals), [`NO_GAUSSIAN`] without any.
@@ -133,7 +135,7 @@ impl Frame {
         let size = |wanted: bool| if wanted { n } else { 0 };
         self.rgb.resize(size(colour), [0.0; 3]);
         self.transmittance.resize(n, 1.0);
-        for plane in [&mut self.depth, &mut self.planar_depth, &mut self.median_depth] {
+        for plane in [&mut self.depth, &mut self.planar_depth, &mut self.median_depth, &mut self.plane] {
             plane.resize(size(geometry), 0.0);
         }
         self.normal.resize(size(geometry), [0.0; 3]);

@@ -19,7 +19,7 @@ use crate::project::{Extra, Record};
 pub(crate) const BLOCK: usize = 16;
 
 /// Records fetched at a time.
-const STAGE: usize = 64;
+pub(crate) const STAGE: usize = 64;
 
 /// One quantity of the 256 pixels of a block: `[brick][pixel]`.
 #[derive(Clone, Copy, Debug)]
@@ -163,7 +163,7 @@ fn rays_inline(camera: &Camera, place: Place) -> [Plane; 3] {
 
 /// Column and row of a pixel within its block.
 #[inline(always)]
-fn pixel_of(brick: usize, lane: usize) -> [usize; 2] {
+pub(crate) fn pixel_of(brick: usize, lane: usize) -> [usize; 2] {
     [brick % 4 * 4 + lane % 4, brick / 4 * 4 + lane / 4]
 }
 
@@ -191,7 +191,7 @@ fn start<C: Set, const N: usize>(scene: &Scene, place: Place, planes: &mut [Plan
 
 /// `2^e` with a relative error below 2e-7 for `|e| < 126`; anything outside.
 #[inline(always)]
-fn exp2<S: Simd>(simd: S, e: f32x16<S>) -> f32x16<S> {
+pub(crate) fn exp2<S: Simd>(simd: S, e: f32x16<S>) -> f32x16<S> {
     let v = |x: f32| f32x16::splat(simd, x);
     // Adding 1.5·2²³ leaves the nearest integer in the low bits of the sum.
     let magic = v(12_582_912.0);
@@ -209,7 +209,7 @@ fn exp2<S: Simd>(simd: S, e: f32x16<S>) -> f32x16<S> {
 
 /// Bricks with a pixel that still takes light.
 #[inline(always)]
-fn alive<S: Simd>(simd: S, transmittance: &Plane) -> u32 {
+pub(crate) fn alive<S: Simd>(simd: S, transmittance: &Plane) -> u32 {
     let zero = f32x16::splat(simd, 0.0);
     let mut bits = 0;
     for (b, t) in transmittance.0.iter().enumerate() {
@@ -230,14 +230,8 @@ fn composite_simd<S: Simd, C: Set, const N: usize>(
     let v = |x: f32| f32x16::splat(simd, x);
     let load = |p: &Plane, b: usize| f32x16::load_array_ref(simd, &p.0[b]);
     let zero = v(0.0);
-    let four = v(4.0);
-    let lane = f32x16::load_array(simd, std::array::from_fn(|i| i as f32));
-    let row = (lane * v(0.25)).floor();
-    let column = lane - row * four;
-    // Pixel centres of the bricks' first pixels, and offsets within a brick.
-    let brick_x = column.mul_add(four, v(place.x as f32 + 0.5));
-    let brick_y = row.mul_add(four, v(place.y as f32 + 0.5));
-    let three = v(3.0);
+    let bricks = Bricks::new(simd, place);
+    let (column, row) = (bricks.column, bricks.row);
     let (log_alpha_min, alpha_max, t_stop) = (v(scene.log_alpha_min), v(scene.alpha_max), v(scene.t_stop));
     let half = v(0.5);
 
@@ -262,23 +256,10 @@ fn composite_simd<S: Simd, C: Set, const N: usize>(
             return;
         }
         for (r, &rank) in staged[..count].iter().zip(&ranks) {
-            let (l1, l2, l3) = (v(r.l[0]), v(r.l[1]), v(r.l[2]));
-            let x0 = brick_x - v(r.base[0]) - v(r.rest[0]);
-            let y0 = brick_y - v(r.base[1]) - v(r.rest[1]);
-            let (x1, y1) = (x0 + three, y0 + three);
-            // The minimum over a brick lies on one of the two edges that face the mean, or is the mean itself.
-            let xn = x0.max(x1.min(zero));
-            let yn = y0.max(y1.min(zero));
-            let ya = (xn * v(r.slope[1])).min(y1).max(y0);
-            let xb = (yn * v(r.slope[0])).min(x1).max(x0);
-            let exponent = |x: f32x16<S>, y: f32x16<S>| {
-                let s1 = x.mul_add(l1, y * l2);
-                let s2 = y * l3;
-                s1.mul_add(s1, s2 * s2)
-            };
-            let nearest = exponent(xn, ya).min(exponent(xb, yn));
-            let mut touched = nearest.simd_le(v(r.limit)).to_bitmask() as u32 & live;
+            let (reached, x0, y0) = bricks.reached(simd, r);
+            let mut touched = reached & live;
             if touched != 0 {
+                let (l1, l2, l3) = (v(r.l[0]), v(r.l[1]), v(r.l[2]));
                 let corner1 = x0.mul_add(l1, y0 * l2).to_array();
                 let corner2 = (y0 * l3).to_array();
                 let (inner1, inner2) = (column.mul_add(l1, row * l2), row * l3);
@@ -360,6 +341,52 @@ fn composite_simd<S: Simd, C: Set, const N: usize>(
                 slot += 1;
             }
         }
+    }
+}
+
+/// The bricks of a block, one to a lane, and the pixels of a brick, one to a lane.
+pub(crate) struct Bricks<S: Simd> {
+    /// Offset of each pixel within a brick; also the index of each brick within the block.
+    pub column: f32x16<S>,
+    /// As `column`, downwards.
+    pub row: f32x16<S>,
+    /// Centres of the bricks' first pixels.
+    x: f32x16<S>,
+    y: f32x16<S>,
+}
+
+impl<S: Simd> Bricks<S> {
+    #[inline(always)]
+    pub fn new(simd: S, place: Place) -> Self {
+        let v = |x: f32| f32x16::splat(simd, x);
+        let lane = f32x16::load_array(simd, std::array::from_fn(|i| i as f32));
+        let row = (lane * v(0.25)).floor();
+        let column = lane - row * v(4.0);
+        let (x, y) = (column.mul_add(v(4.0), v(place.x as f32 + 0.5)), row.mul_add(v(4.0), v(place.y as f32 + 0.5)));
+        Self { column, row, x, y }
+    }
+
+    /// Bit mask of the bricks that the support can touch, and the offsets of their first pixels from the mean.
+    #[inline(always)]
+    pub fn reached(&self, simd: S, r: &Record) -> (u32, f32x16<S>, f32x16<S>) {
+        let v = |x: f32| f32x16::splat(simd, x);
+        let (zero, three) = (v(0.0), v(3.0));
+        let (l1, l2, l3) = (v(r.l[0]), v(r.l[1]), v(r.l[2]));
+        let x0 = self.x - v(r.base[0]) - v(r.rest[0]);
+        let y0 = self.y - v(r.base[1]) - v(r.rest[1]);
+        let (x1, y1) = (x0 + three, y0 + three);
+        // The minimum over a brick lies on one of the two edges that face the mean, or is the mean itself.
+        let xn = x0.max(x1.min(zero));
+        let yn = y0.max(y1.min(zero));
+        let ya = (xn * v(r.slope[1])).min(y1).max(y0);
+        let xb = (yn * v(r.slope[0])).min(x1).max(x0);
+        let exponent = |x: f32x16<S>, y: f32x16<S>| {
+            let s1 = x.mul_add(l1, y * l2);
+            let s2 = y * l3;
+            s1.mul_add(s1, s2 * s2)
+        };
+        let nearest = exponent(xn, ya).min(exponent(xb, yn));
+        (nearest.simd_le(v(r.limit)).to_bitmask() as u32, x0, y0)
     }
 }
 

@@ -8,6 +8,7 @@
 //! 4 × 4 pixels, one brick to a vector of sixteen lanes (`kernel`). A brick's arithmetic depends on the pixel and the
 //! Gaussian alone, so images are bit-identical for every tile size and number of threads.
 
+mod backward;
 mod bin;
 mod frame;
 mod gaussians;
@@ -18,6 +19,7 @@ mod resolve;
 mod settings;
 mod sort;
 
+pub use backward::{Cotangents, Gradients};
 pub use frame::{Frame, NO_GAUSSIAN, Statistics};
 pub use gaussians::{Gaussians, pack_covariance, unpack_covariance};
 pub use rasterizer::Rasterizer;

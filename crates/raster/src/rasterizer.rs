@@ -24,17 +24,18 @@ static NO_RAYS: [Plane; 3] = [Plane([[0.0; 16]; 16]); 3];
 /// on earlier calls, on the number of threads, or on the tile size.
 #[derive(Debug)]
 pub struct Rasterizer {
-    level: Level,
+    pub(crate) level: Level,
     chunks: Vec<project::Chunk>,
     sorter: Sorter,
-    records: Vec<Record>,
-    extras: Vec<Extra>,
+    pub(crate) records: Vec<Record>,
+    pub(crate) extras: Vec<Extra>,
     bounds: Vec<Bounds>,
-    lists: Vec<Lists>,
+    pub(crate) lists: Vec<Lists>,
     planes: Vec<Plane>,
     tallies: Vec<Vec<Tally>>,
     starts: Vec<u32>,
     sums: Vec<Sum>,
+    pub(crate) backward: crate::backward::Scratch,
 }
 
 impl Default for Rasterizer {
@@ -63,6 +64,7 @@ impl Rasterizer {
             tallies: Vec::new(),
             starts: Vec::new(),
             sums: Vec::new(),
+            backward: Default::default(),
         }
     }
 
@@ -127,7 +129,7 @@ impl Rasterizer {
     }
 
     /// Length of the ranges that the depth order is cut into.
-    fn range(&self) -> usize {
+    pub(crate) fn range(&self) -> usize {
         self.records.len().div_ceil(RANGES).max(RANGE)
     }
 

@@ -16,6 +16,7 @@ pub(crate) struct Window<'a> {
     pub planar_depth: &'a mut [f32],
     pub median_depth: &'a mut [f32],
     pub normal: &'a mut [[f32; 3]],
+    pub plane: &'a mut [f32],
     pub temperature: &'a mut [f32],
     pub argmax: &'a mut [u32],
     pub argmax_weight: &'a mut [f32],
@@ -34,6 +35,7 @@ impl<'a> Window<'a> {
             planar_depth: cut(&mut frame.planar_depth, range.clone()),
             median_depth: cut(&mut frame.median_depth, range.clone()),
             normal: cut(&mut frame.normal, range.clone()),
+            plane: cut(&mut frame.plane, range.clone()),
             temperature: cut(&mut frame.temperature, range.clone()),
             argmax: cut(&mut frame.argmax, range.clone()),
             argmax_weight: cut(&mut frame.argmax_weight, range),
@@ -50,11 +52,12 @@ impl<'a> Window<'a> {
         let (planar_depth, planar_depth1) = cut(self.planar_depth, at);
         let (median_depth, median_depth1) = cut(self.median_depth, at);
         let (normal, normal1) = cut(self.normal, at);
+        let (plane, plane1) = cut(self.plane, at);
         let (temperature, temperature1) = cut(self.temperature, at);
         let (argmax, argmax1) = cut(self.argmax, at);
         let (argmax_weight, argmax_weight1) = cut(self.argmax_weight, at);
         (
-            Self { rgb, transmittance, depth, planar_depth, median_depth, normal, temperature, argmax, argmax_weight },
+            Self { rgb, transmittance, depth, planar_depth, median_depth, normal, plane, temperature, argmax, argmax_weight },
             Self {
                 rgb: rgb1,
                 transmittance: transmittance1,
@@ -62,6 +65,7 @@ impl<'a> Window<'a> {
                 planar_depth: planar_depth1,
                 median_depth: median_depth1,
                 normal: normal1,
+                plane: plane1,
                 temperature: temperature1,
                 argmax: argmax1,
                 argmax_weight: argmax_weight1,
@@ -167,6 +171,7 @@ fn geometry(camera: &Camera, x: usize, y: usize, n: usize, k: usize, t: &[f32; 4
         let n = [normal[0][i], normal[1][i], normal[2][i]];
         row.depth[x + i] = z[i] / alpha.max(1e-6);
         row.normal[x + i] = n;
+        row.plane[x + i] = plane[i];
         row.planar_depth[x + i] = planar_depth(camera, x + i, y, n, plane[i], alpha);
         row.median_depth[x + i] = median[i];
     }
