@@ -17,7 +17,7 @@ struct Cli {
 enum Scene {
     /// MLS-MPM/APIC block in a unit box
     M1(m1::Args),
-    /// Forward rasterization of random Gaussians
+    /// Rasterization of random Gaussians, forward and backward
     S1(s1::Args),
 }
 

@@ -1,4 +1,4 @@
-//! Forward rasterization of 100 000 random Gaussians at 800 × 600.
+//! Rasterization of 100 000 random Gaussians at 800 × 600, forward and optionally backward.
 //!
 //! The scene's published check (mean 0.46090, transmittance 0.08062, 23.61 contributions a pixel) belongs to the exact
 //! support, `alpha ≥ 1/255` and nothing else: a box of 3σ along each axis with two pixels of margin, as the classic CPU
@@ -8,8 +8,8 @@
 use std::path::{Path, PathBuf};
 
 use megas_math::{mat3, quat, sh};
-use megas_model::{Camera, Projection};
-use megas_raster::{Channels, Frame, Gaussians, Rasterizer, Settings, pack_covariance};
+use megas_model::{Camera, Projection, Splats, logit};
+use megas_raster::{Channels, Cotangents, Frame, Gaussians, Gradients, Rasterizer, Settings};
 use serde_json::json;
 
 use crate::timing;
@@ -27,6 +27,10 @@ pub struct Args {
     /// Scene file written by splat_scene.py; by default the same scene is generated
     #[arg(long)]
     bin: Option<PathBuf>,
+    /// Adds the gradients of all parameters for a gradient of one in every colour channel; the covariances are then computed
+    /// anew in every frame, as training has to
+    #[arg(long)]
+    backward: bool,
     /// Timed repetitions
     #[arg(long, default_value_t = 21)]
     reps: usize,
@@ -36,7 +40,7 @@ pub struct Args {
 }
 
 struct Scene {
-    gaussians: Gaussians,
+    splats: Splats,
     camera: Camera,
 }
 
@@ -57,11 +61,21 @@ fn time(scene: &Scene, args: &Args) -> String {
     let settings = Settings::default();
     let mut rasterizer = Rasterizer::new();
     let mut frame = Frame::default();
+    let mut gaussians = Gaussians::from_splats(&scene.splats);
+    let pixels = scene.camera.width as usize * scene.camera.height as usize;
+    let ones = Cotangents { rgb: vec![[1.0; 3]; pixels], ..Cotangents::default() };
+    let mut gradients = Gradients::default();
     let (mut wall, mut cpu) = (Vec::new(), Vec::new());
     for k in 0..args.reps.max(1) + 2 {
         let (w, c) = timing::measure(|| {
             for _ in 0..BATCH {
-                rasterizer.render(&scene.gaussians, &scene.camera, &settings, Channels::Rgba, &mut frame);
+                if args.backward {
+                    gaussians.assign_splats(&scene.splats);
+                }
+                rasterizer.render(&gaussians, &scene.camera, &settings, Channels::Rgba, &mut frame);
+                if args.backward {
+                    rasterizer.backward(&scene.splats, &scene.camera, &settings, Channels::Rgba, &frame, &ones, &mut gradients);
+                }
             }
         });
         if k >= 2 {
@@ -69,13 +83,14 @@ fn time(scene: &Scene, args: &Args) -> String {
             cpu.push(c / f64::from(BATCH));
         }
     }
-    let weights = rasterizer.frame(&scene.gaussians, &scene.camera, &settings, Channels::Weights);
-    let pixels = frame.transmittance.len() as f64;
+    let weights = rasterizer.frame(&gaussians, &scene.camera, &settings, Channels::Weights);
+    let pixels = pixels as f64;
     let contributions: u64 = weights.statistics.pixels.iter().map(|&n| u64::from(n)).sum();
     let mean = frame.rgb.as_flattened().iter().map(|&v| f64::from(v)).sum::<f64>() / (3.0 * pixels);
     let transmittance = frame.transmittance.iter().map(|&v| f64::from(v)).sum::<f64>() / pixels;
     json!({
         "scene": "s1",
+        "backward": args.backward,
         "threads": args.threads,
         "reps": wall.len(),
         "median_wall_s": timing::median(&wall),
@@ -104,11 +119,8 @@ fn camera(fx: f32, width: u32, height: u32) -> Camera {
     }
 }
 
-fn push(g: &mut Gaussians, mean: [f32; 3], scale: [f32; 3], rotation: [f32; 4], rgb: [f32; 3], opacity: f32) {
-    let r = quat::to_mat3(rotation.map(f64::from));
-    let s = mat3::diag(scale.map(|s| f64::from(s) * f64::from(s)));
-    let covariance = mat3::cast(mat3::congruence(r, s));
-    g.push(mean, pack_covariance(covariance), [0.0; 3], opacity, &rgb.map(sh::dc_from_rgb), 300.0);
+fn push(s: &mut Splats, mean: [f32; 3], scale: [f32; 3], rotation: [f32; 4], rgb: [f32; 3], opacity: f32) {
+    s.push(mean, scale.map(f32::ln), rotation, logit(opacity), &rgb.map(sh::dc_from_rgb));
 }
 
 /// The scene of `splat_scene.py`, number for number: its generator rounds every draw to single precision and computes in
@@ -121,7 +133,7 @@ fn generate(n: usize, width: u32, height: u32) -> Scene {
     };
     let (w, h) = (f64::from(width), f64::from(height));
     let fx = 0.9 * w;
-    let mut g = Gaussians::new(0);
+    let mut g = Splats::default();
     for _ in 0..n {
         let u: [f64; 14] = std::array::from_fn(|_| draw());
         let z = 2.0 + 6.0 * u[0];
@@ -131,7 +143,7 @@ fn generate(n: usize, width: u32, height: u32) -> Scene {
         let rgb = [u[10], u[11], u[12]].map(|u| u as f32);
         push(&mut g, mean.map(|v| v as f32), scale, q.map(|v| v as f32), rgb, (0.05 + 0.9 * u[13]) as f32);
     }
-    Scene { gaussians: g, camera: camera(fx as f32, width, height) }
+    Scene { splats: g, camera: camera(fx as f32, width, height) }
 }
 
 /// Reads a scene file: `i32 n, W, H; f32 fx`; then `f32 mean[3n], scale[3n], quat[4n], colour[3n], opacity[n]`.
@@ -146,11 +158,11 @@ fn read(path: &Path) -> Result<Scene, String> {
     if n.checked_mul(14) != Some(values.len()) || width == 0 || height == 0 || width > 65_536 || height > 65_536 {
         return Err(format!("{}: the header does not fit the {} values that follow", path.display(), values.len()));
     }
-    let mut g = Gaussians::new(0);
+    let mut g = Splats::default();
     let vec3 = |from: usize, i: usize| [0, 1, 2].map(|k| values[from + 3 * i + k]);
     for i in 0..n {
         let q = [0, 1, 2, 3].map(|k| values[6 * n + 4 * i + k]);
         push(&mut g, vec3(0, i), vec3(3 * n, i), q, vec3(10 * n, i), values[13 * n + i]);
     }
-    Ok(Scene { gaussians: g, camera: camera(f32::from_le_bytes(head[3]), width, height) })
+    Ok(Scene { splats: g, camera: camera(f32::from_le_bytes(head[3]), width, height) })
 }
