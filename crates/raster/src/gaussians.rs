@@ -2,6 +2,7 @@
 
 use megas_math::{Mat3, Vec3, sh};
 use megas_model::{AMBIENT_K, Splats};
+use rayon::prelude::*;
 
 /// Gaussians ready to draw, as a structure of arrays. `mean`, `covariance`, `opacity` have one value per Gaussian and `sh`
 /// has `len · (degree+1)² · 3` in `[Gaussian][coefficient][channel]` order. The other arrays are either empty, which means
@@ -55,15 +56,43 @@ impl Gaussians {
 
     /// Replaces the contents by `splats` at rest without giving memory back.
     pub fn assign_splats(&mut self, splats: &Splats) {
-        self.clear();
+        self.assign_shapes(splats);
         self.sh_degree = splats.sh_degree;
+        self.sh.clear();
         self.sh.extend_from_slice(&splats.sh);
-        self.mean.extend_from_slice(&splats.mean);
+    }
+
+    /// As [`Gaussians::assign_splats`] without the spherical harmonics, which are two thirds of the bytes: a trainer lends
+    /// its own by swapping [`Gaussians::sh`].
+    pub fn assign_shapes(&mut self, splats: &Splats) {
+        const CHUNK: usize = 1024;
         let n = splats.len();
-        self.covariance.extend((0..n).map(|i| pack_covariance(splats.covariance(i))));
-        self.opacity.extend((0..n).map(|i| splats.opacity(i)));
-        self.normal.extend((0..n).map(|i| splats.normal(i)));
+        self.view_rotation.clear();
+        self.visible.clear();
+        self.mean.resize(n, [0.0; 3]);
+        self.covariance.resize(n, [0.0; 6]);
+        self.opacity.resize(n, 0.0);
+        self.normal.resize(n, [0.0; 3]);
+        self.temperature.clear();
         self.temperature.extend_from_slice(&splats.temperature);
+        let arrays = (
+            self.mean.par_chunks_mut(CHUNK),
+            self.covariance.par_chunks_mut(CHUNK),
+            self.opacity.par_chunks_mut(CHUNK),
+            self.normal.par_chunks_mut(CHUNK),
+        );
+        arrays.into_par_iter().enumerate().for_each(|(c, (mean, covariance, opacity, normal))| {
+            for k in 0..mean.len() {
+                let i = c * CHUNK + k;
+                let (r, s) = (splats.axes(i), splats.scale(i));
+                let m = r.map(|row| [row[0] * s[0], row[1] * s[1], row[2] * s[2]]);
+                let dot = |a: usize, b: usize| m[a][0] * m[b][0] + m[a][1] * m[b][1] + m[a][2] * m[b][2];
+                mean[k] = splats.mean[i];
+                covariance[k] = [dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)];
+                opacity[k] = splats.opacity(i);
+                normal[k] = splats.normal(i);
+            }
+        });
     }
 
     /// Number of Gaussians.
