@@ -1,3 +1,4 @@
 //! Ground-truth assets and the paper's claims as numbers
 
 pub mod assets;
+pub mod image;
