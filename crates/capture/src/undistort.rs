@@ -39,13 +39,22 @@ impl Straightener {
 
     /// The straightened pixels of the rectangle and 0 or 255 for each of them: whether the photograph shows it.
     pub fn straighten(&self, pixels: &[u8], channels: usize, area: Rect) -> (Vec<u8>, Vec<u8>) {
+        match channels {
+            1 => self.straighten_channels::<1>(pixels, area),
+            3 => self.straighten_channels::<3>(pixels, area),
+            _ => self.straighten_channels::<4>(pixels, area),
+        }
+    }
+
+    fn straighten_channels<const C: usize>(&self, pixels: &[u8], area: Rect) -> (Vec<u8>, Vec<u8>) {
         let count = area.size[0] as usize * area.size[1] as usize;
-        let mut out = vec![0; count * channels];
+        let (pixels, _) = pixels.as_chunks::<C>();
+        let mut out = vec![0; count * C];
         let mut valid = vec![0; count];
-        for (k, at) in area.centres().enumerate() {
+        for ((px, seen), at) in out.as_chunks_mut::<C>().0.iter_mut().zip(&mut valid).zip(area.centres()) {
             if let Some(p) = self.source(at) {
-                bilinear(pixels, channels, self.camera.size, p, &mut out[k * channels..][..channels]);
-                valid[k] = 255;
+                *px = bilinear(pixels, self.camera.size, p);
+                *seen = 255;
             }
         }
         (out, valid)
@@ -97,7 +106,7 @@ impl Rect {
 /// Bilinear sample at a continuous position (pixel centres at ½); the outermost half pixel repeats the edge. Colours are
 /// weighted by alpha.
 #[inline(always)]
-fn bilinear(pixels: &[u8], channels: usize, size: Size, position: [f64; 2], out: &mut [u8]) {
+fn bilinear<const C: usize>(pixels: &[[u8; C]], size: Size, position: [f64; 2]) -> [u8; C] {
     let axis = |a: usize| {
         let last = size[a] as usize - 1;
         let t = (position[a] - 0.5).clamp(0.0, last as f64);
@@ -107,22 +116,22 @@ fn bilinear(pixels: &[u8], channels: usize, size: Size, position: [f64; 2], out:
     let ((x0, x1, fx), (y0, y1, fy)) = (axis(0), axis(1));
     let w = size[0] as usize;
     let corners = [(x0, y0, (1.0 - fx) * (1.0 - fy)), (x1, y0, fx * (1.0 - fy)), (x0, y1, (1.0 - fx) * fy), (x1, y1, fx * fy)];
-    let mut sum = [0f32; 4];
+    let mut sum = [0f32; C];
     for (x, y, weight) in corners {
-        let px = &pixels[(y * w + x) * channels..][..channels];
-        if channels == 4 {
+        let px = pixels[y * w + x];
+        if C == 4 {
             let wa = weight * f32::from(px[3]);
             (0..3).for_each(|k| sum[k] += wa * f32::from(px[k]));
             sum[3] += wa;
         } else {
-            (0..channels).for_each(|k| sum[k] += weight * f32::from(px[k]));
+            (0..C).for_each(|k| sum[k] += weight * f32::from(px[k]));
         }
     }
-    if channels == 4 {
+    if C == 4 {
         let inverse = if sum[3] > 1e-3 { 1.0 / sum[3] } else { 0.0 };
         (0..3).for_each(|k| sum[k] *= inverse);
     }
-    (0..channels).for_each(|k| out[k] = round(sum[k]));
+    sum.map(round)
 }
 
 #[cfg(test)]
@@ -228,8 +237,6 @@ mod tests {
 
     #[test]
     fn hidden_colours_do_not_bleed() {
-        let mut out = [0; 4];
-        bilinear(&[200, 0, 0, 255, 0, 255, 0, 0], 4, [2, 1], [1.0, 0.5], &mut out);
-        assert_eq!(out, [200, 0, 0, 128]);
+        assert_eq!(bilinear(&[[200, 0, 0, 255], [0, 255, 0, 0]], [2, 1], [1.0, 0.5]), [200, 0, 0, 128]);
     }
 }
