@@ -2,3 +2,5 @@
 
 pub mod assets;
 pub mod image;
+pub mod splats;
+pub mod surface;
