@@ -7,6 +7,7 @@
 
 mod alpha;
 mod edges;
+pub mod multiview;
 mod normals;
 mod photometric;
 mod plane;

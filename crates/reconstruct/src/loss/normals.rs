@@ -102,7 +102,7 @@ impl<T: Real> Field<'_, T> {
             let alpha = T::one() - self.images.transmittance[i];
             let off = vec3::sub(vec3::scale(facing, alpha), self.images.normal[i]);
             sum += omega * (off[0].abs() + off[1].abs() + off[2].abs());
-            let sign = off.map(|d| if d > T::zero() { step * omega } else { if d < T::zero() { -step * omega } else { T::zero() } });
+            let sign = off.map(|d| sign(d) * step * omega);
             normal[x] = vec3::sub(normal[x], sign);
             let g = vec3::scale(sign, alpha);
             let g = vec3::scale(vec3::add_scaled(g, facing, -vec3::dot(facing, g)), size.recip());
@@ -119,6 +119,13 @@ impl<T: Real> Field<'_, T> {
         let [above, below] = [self.hits[i - self.width]?.point, self.hits[i + self.width]?.point];
         Some([vec3::sub(right, left), vec3::sub(below, above)])
     }
+}
+
+/// −1, 0 or 1, without a branch that noise would send either way.
+#[inline(always)]
+fn sign<T: Real>(v: T) -> T {
+    let one_if = |condition: bool| if condition { T::one() } else { T::zero() };
+    one_if(v > T::zero()) - one_if(v < T::zero())
 }
 
 /// Derivative by the point of pixel `(x, y)`, which is a neighbour in four differences.
