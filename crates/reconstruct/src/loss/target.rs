@@ -124,10 +124,15 @@ impl Target {
         self.rgb.resize(width * height, [0.0; 3]);
         let rows = self.rgb.par_chunks_mut(width).enumerate().with_min_len(BAND);
         rows.for_each(|(y, row)| colour(y * width, row));
-        let n = 3 * width;
+        self.find_moments(Level::new());
+    }
+
+    /// Mean and variance under the window of every float.
+    pub(super) fn find_moments(&mut self, level: Level) {
+        let (n, height) = (3 * self.width, self.height);
         self.mean.resize(n * height, 0.0);
         self.variance.resize(n * height, 0.0);
-        let (level, weights) = (Level::new(), taps().map(|w| w as f32));
+        let weights = taps().map(|w| w as f32);
         let image = self.rgb.as_flattened();
         let rows = self.mean.par_chunks_mut(n).zip(self.variance.par_chunks_mut(n)).enumerate().with_min_len(BAND);
         rows.for_each_init(
