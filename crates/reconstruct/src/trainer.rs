@@ -1,0 +1,386 @@
+//! The training loop (splatting.md §5): one view an iteration, forward, losses, backward, Adam, and at milestones the
+//! refinements. Everything random follows from the seed and the iteration, so a resumed training goes on bit by bit as the
+//! uninterrupted one, with any number of threads.
+
+use fearless_simd::Level;
+use megas_capture::{Photo, Seeds};
+use megas_math::{rng::Rng, sh};
+use megas_model::{Camera, Image, Splats, logit};
+use megas_raster::{Channels, Cotangents, Frame, Gaussians, Gradients, Rasterizer, Settings, Statistics};
+use serde::Serialize;
+
+use crate::loss::{NormalConsistency, Photometric, PlaneGradient, PlaneImages, Target, alpha, edge_weights, regularise};
+use crate::model::Model;
+use crate::options::{Background, Options};
+use crate::refine::{Refined, densify, relocate, reset_opacity, wander};
+
+/// Largest share that one pruning may remove before its threshold is halved (splatting.md §5.6).
+const MOST_PRUNED: f64 = 0.6;
+/// Share of needles above which the controller raises the weight of the anisotropy loss, its factor and its cap (§5.2).
+const NEEDLES: (f64, f32, f32) = (0.02, 1.5, 10.0);
+
+/// What one iteration found.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct StepReport {
+    /// Iteration, from 1.
+    pub step: u32,
+    /// Mean absolute difference of the colours.
+    pub l1: f64,
+    /// Mean structural similarity.
+    pub ssim: f64,
+    /// Total loss.
+    pub loss: f64,
+    /// PSNR of this iteration's view, over its background \[dB\].
+    pub psnr: f64,
+    /// Gaussians after the iteration.
+    pub gaussians: usize,
+    /// What refinement did, if there was one.
+    pub refined: Option<Refined>,
+    /// Gaussians removed because no pixel shows them, and the threshold that was used.
+    pub internal: Option<(usize, f32)>,
+}
+
+/// A training in progress.
+pub struct Trainer {
+    pub(crate) options: Options,
+    views: Vec<Photo>,
+    pub(crate) model: Model,
+    pub(crate) step: u32,
+    /// The controlled weight of the anisotropy loss.
+    pub(crate) anisotropy: f32,
+    pub(crate) was_reset: bool,
+    order: (u32, Vec<usize>),
+    work: Work,
+}
+
+/// Memory that lives across iterations.
+struct Work {
+    level: Level,
+    rasterizer: Rasterizer,
+    gaussians: Gaussians,
+    frame: Frame,
+    cotangents: Cotangents,
+    gradients: Gradients,
+    photometric: Photometric,
+    normals: NormalConsistency,
+    target: Target,
+    /// Edge weights per view, made when first needed.
+    edges: Vec<Option<Vec<f32>>>,
+    visible: Vec<u32>,
+    mask: Vec<f32>,
+}
+
+/// Splats for the start of a training (splatting.md §2.5).
+pub fn initial_splats(seeds: &Seeds) -> Splats {
+    let mut splats = Splats::with_capacity(0, seeds.position.len());
+    for ((x, c), s) in seeds.position.iter().zip(&seeds.colour).zip(&seeds.sigma) {
+        splats.push(*x, [s.ln(); 3], [1.0, 0.0, 0.0, 0.0], logit(0.1), &c.map(sh::dc_from_rgb));
+    }
+    splats
+}
+
+impl Trainer {
+    /// Starts a training of `splats` on `views`.
+    ///
+    /// # Panics
+    /// Without views or splats: callers check both.
+    pub fn new(views: Vec<Photo>, mut splats: Splats, options: Options) -> Self {
+        assert!(!views.is_empty() && !splats.is_empty(), "nothing to train");
+        options.clamp(&mut splats);
+        let edges = vec![None; views.len()];
+        Self {
+            anisotropy: options.weights.anisotropy,
+            options,
+            views,
+            model: Model::new(splats),
+            step: 0,
+            was_reset: false,
+            order: (u32::MAX, Vec::new()),
+            work: Work {
+                level: Level::new(),
+                rasterizer: Rasterizer::new(),
+                gaussians: Gaussians::default(),
+                frame: Frame::default(),
+                cotangents: Cotangents::default(),
+                gradients: Gradients::default(),
+                photometric: Photometric::new(),
+                normals: NormalConsistency::new(),
+                target: Target::default(),
+                edges,
+                visible: Vec::new(),
+                mask: Vec::new(),
+            },
+        }
+    }
+
+    /// Iterations done.
+    pub fn step_count(&self) -> u32 {
+        self.step
+    }
+
+    /// True when all planned iterations are done.
+    pub fn done(&self) -> bool {
+        self.step >= self.options.iterations
+    }
+
+    /// Options.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// Training views.
+    pub fn views(&self) -> &[Photo] {
+        &self.views
+    }
+
+    /// The splats as they are.
+    pub fn splats(&self) -> &Splats {
+        &self.model.splats
+    }
+
+    /// The splats with identities of their own, for a file.
+    pub fn export(&self) -> Splats {
+        let mut splats = self.model.splats.clone();
+        splats.birth_id = (0..splats.len() as u32).collect();
+        splats
+    }
+
+    /// The current splats seen through `camera`.
+    pub fn render(&mut self, camera: &Camera, background: [f32; 3]) -> Image {
+        let w = &mut self.work;
+        w.gaussians.assign_splats(&self.model.splats);
+        let settings = Settings { background, ..Settings::default() };
+        w.rasterizer.render(&w.gaussians, camera, &settings, Channels::Rgba, &mut w.frame);
+        w.frame.rgb_image()
+    }
+
+    /// Index of the view of iteration `step`: epochs in an order of their own, without replacement.
+    fn view_of(&mut self, step: u32) -> usize {
+        let n = self.views.len() as u32;
+        let (epoch, k) = ((step - 1) / n, (step - 1) % n);
+        if self.order.0 != epoch {
+            let mut rng = Rng::new(self.options.seed.wrapping_mul(0x9e37) ^ (u64::from(epoch) << 8) ^ 0x51);
+            let mut order: Vec<usize> = (0..n as usize).collect();
+            for i in (1..order.len()).rev() {
+                order.swap(i, rng.below(i + 1));
+            }
+            self.order = (epoch, order);
+        }
+        self.order.1[k as usize]
+    }
+
+    /// One iteration.
+    pub fn step(&mut self) -> StepReport {
+        let step = self.step + 1;
+        let view = self.view_of(step);
+        self.model.raise_degree(self.options.degree_at(step));
+        let mut report = self.descend(view, step);
+        self.step = step;
+        self.refine(step, &mut report);
+        report.gaussians = self.model.splats.len();
+        report
+    }
+
+    /// Forward, losses, backward and the optimiser's step.
+    fn descend(&mut self, view: usize, step: u32) -> StepReport {
+        let Self { options, views, model, work, .. } = self;
+        let photo = &views[view];
+        let camera = &photo.camera;
+        let (width, height) = (camera.width as usize, camera.height as usize);
+        let pixels = width * height;
+        let weights = &options.weights;
+        let background = match options.background {
+            Background::Fixed(c) => c,
+            Background::Random => {
+                let mut rng = Rng::new(options.seed ^ (u64::from(step) << 16) ^ 0xb6);
+                std::array::from_fn(|_| rng.unit() as f32)
+            }
+        };
+        let transparent = photo.channels == 4;
+        if transparent {
+            work.target.composite_u8(width, height, &photo.pixels, background);
+        } else {
+            work.target.set_u8(width, height, &photo.pixels);
+        }
+        match &photo.mask {
+            Some(mask) => {
+                work.mask.clear();
+                work.mask.extend(mask.iter().map(|&v| f32::from(v) / 255.0));
+                work.target.set_mask(Some(&work.mask));
+            }
+            None => work.target.set_mask(None),
+        }
+
+        let planar = weights.normal > 0.0 && step >= weights.normal_start;
+        let channels = if planar { Channels::Geometry } else { Channels::Rgba };
+        let settings = Settings { background, ..Settings::default() };
+        lend_and_render(&mut model.splats, work, camera, &settings, channels);
+
+        let c = &mut work.cotangents;
+        c.rgb.resize(pixels, [0.0; 3]);
+        let photometric = work.photometric.evaluate(&work.frame.rgb, &work.target, weights.ssim, &mut c.rgb);
+        let mut loss = photometric.total;
+        c.alpha.clear();
+        if transparent && weights.alpha > 0.0 {
+            c.alpha.resize(pixels, 0.0);
+            let truth = |i: usize| f32::from(photo.pixels[4 * i + 3]) / 255.0;
+            loss += f64::from(weights.alpha) * alpha(&work.frame.transmittance, truth, weights.alpha, &mut c.alpha);
+        }
+        c.normal.clear();
+        c.plane.clear();
+        if planar {
+            let target = &work.target;
+            let edges = work.edges[view].get_or_insert_with(|| edge_weights(width, height, target.rgb()));
+            c.normal.resize(pixels, [0.0; 3]);
+            c.plane.resize(pixels, 0.0);
+            let images = PlaneImages { normal: &work.frame.normal, plane: &work.frame.plane, transmittance: &work.frame.transmittance };
+            let gradient = PlaneGradient { normal: &mut c.normal, plane: &mut c.plane };
+            loss += f64::from(weights.normal) * work.normals.evaluate(camera, images, edges, weights.normal, gradient);
+        }
+        work.rasterizer.backward(&model.splats, camera, &settings, channels, &work.frame, c, &mut work.gradients);
+
+        let g = &mut work.gradients;
+        work.visible.clear();
+        work.visible.extend((0..model.splats.len() as u32).filter(|&i| g.radius[i as usize] > 0.0));
+        let (scales, visible) = (&model.splats.log_scale, &work.visible[..]);
+        if weights.flat > 0.0 {
+            loss += f64::from(weights.flat) * regularise::flatten(scales, visible, options.extent, weights.flat, &mut g.log_scale);
+        }
+        if self.anisotropy > 0.0 {
+            let value = regularise::anisotropy(scales, visible, weights.anisotropy_limit, self.anisotropy, &mut g.log_scale);
+            loss += f64::from(self.anisotropy) * value;
+        }
+        let [weight, bound] = weights.roundness;
+        if weight > 0.0 {
+            loss += f64::from(weight) * regularise::roundness(scales, visible, bound, weight, &mut g.log_scale);
+        }
+        let [weight, fraction, bound] = weights.volume_ratio;
+        if weight > 0.0 {
+            loss += f64::from(weight) * regularise::volume_ratio(scales, visible, fraction, bound, weight, &mut g.log_scale);
+        }
+        if let Some(mcmc) = &options.mcmc {
+            loss += f64::from(mcmc.opacity_weight)
+                * regularise::opacity(&model.splats.opacity_logit, visible, mcmc.opacity_weight, &mut g.opacity_logit);
+            loss += f64::from(mcmc.scale_weight) * regularise::scale(scales, visible, mcmc.scale_weight, &mut g.log_scale);
+        }
+
+        if options.refinement.is_some_and(|r| step <= r.stop) {
+            model.activity.add(&work.gradients);
+        }
+        let rates = options.rates_at(step);
+        model.adam.step(work.level, &mut model.splats, &work.gradients, &rates);
+        if let Some(mcmc) = &options.mcmc {
+            wander(&mut model.splats, mcmc, rates.mean, options.seed, step);
+        }
+        options.clamp(&mut model.splats);
+        let psnr = psnr(&work.frame.rgb, work.target.rgb());
+        StepReport { step, l1: photometric.l1, ssim: photometric.ssim, loss, psnr, ..StepReport::default() }
+    }
+
+    /// What happens at milestones, after the optimiser's step.
+    fn refine(&mut self, step: u32, report: &mut StepReport) {
+        if let Some(r) = self.options.refinement {
+            let at_interval = step.is_multiple_of(r.every);
+            if at_interval && step >= r.start && step <= r.stop {
+                report.refined = Some(match self.options.mcmc {
+                    Some(mcmc) => relocate(&mut self.model, &self.options, &mcmc, r.most, step),
+                    None => densify(&mut self.model, &self.options, &r, step, self.was_reset),
+                });
+            }
+            if r.trim_every > 0 && step <= r.stop && step > r.start && step.is_multiple_of(r.trim_every) {
+                self.trim();
+            }
+            if self.options.mcmc.is_none() && r.reset_every > 0 && step < r.stop && step.is_multiple_of(r.reset_every) {
+                reset_opacity(&mut self.model);
+                self.was_reset = true;
+            }
+            if at_interval {
+                self.control_needles();
+            }
+        }
+        let due: Vec<f32> = self.options.prune.iter().filter(|e| e.step == step).map(|e| e.tau).collect();
+        for tau in due {
+            report.internal = Some(self.prune_internal(tau));
+        }
+    }
+
+    /// Raises the weight of the anisotropy loss while too many needles are left (splatting.md §5.2).
+    fn control_needles(&mut self) {
+        if self.anisotropy <= 0.0 {
+            return;
+        }
+        let limit = (1.1 * self.options.weights.anisotropy_limit).ln();
+        let needles = self.model.splats.log_scale.iter().filter(|l| {
+            let mut s = **l;
+            s.sort_by(f32::total_cmp);
+            s[2] - s[1] > limit
+        });
+        if needles.count() as f64 > NEEDLES.0 * self.model.splats.len() as f64 {
+            self.anisotropy = (self.anisotropy * NEEDLES.1).min(NEEDLES.2.max(self.options.weights.anisotropy));
+        }
+    }
+
+    /// Statistics of all Gaussians over the training views; calls `each` after every view.
+    fn statistics(&mut self, mut each: impl FnMut(&Statistics)) {
+        let Self { views, work, model, .. } = self;
+        work.gaussians.assign_splats(&model.splats);
+        for photo in views.iter() {
+            work.rasterizer.render(&work.gaussians, &photo.camera, &Settings::default(), Channels::Weights, &mut work.frame);
+            each(&work.frame.statistics);
+        }
+    }
+
+    /// Largest blend weight of every Gaussian over the training views (splatting.md §5.6).
+    pub fn largest_weights(&mut self) -> Vec<f32> {
+        let mut w_max = vec![0.0f32; self.model.splats.len()];
+        self.statistics(|s| w_max.iter_mut().zip(&s.w_max).for_each(|(a, b)| *a = a.max(*b)));
+        w_max
+    }
+
+    /// Removes what no pixel shows with a weight above `tau`; returns how many and the threshold that was used.
+    pub(crate) fn prune_internal(&mut self, mut tau: f32) -> (usize, f32) {
+        let w_max = self.largest_weights();
+        let share = |tau: f32| w_max.iter().filter(|&&w| w <= tau).count() as f64 / w_max.len().max(1) as f64;
+        if share(tau) > MOST_PRUNED {
+            tau *= 0.5;
+        }
+        // A training whose weights are all small (nothing fits yet) must not lose everything.
+        if share(tau) >= 1.0 {
+            return (0, tau);
+        }
+        (self.model.retain(|i| w_max[i] > tau), tau)
+    }
+
+    /// Removes what fewer than two views see in front (splatting.md §5.4).
+    fn trim(&mut self) {
+        let mut seen = vec![0u8; self.model.splats.len()];
+        self.statistics(|s| {
+            for (n, v) in seen.iter_mut().zip(&s.votes) {
+                *n = n.saturating_add(u8::from(*v != [0.0; 3]));
+            }
+        });
+        if self.views.len() >= 2 && seen.iter().any(|&n| n >= 2) {
+            self.model.retain(|i| seen[i] >= 2);
+        }
+    }
+}
+
+/// Renders the splats, whose coefficients the rasterizer's input borrows meanwhile.
+fn lend_and_render(splats: &mut Splats, work: &mut Work, camera: &Camera, settings: &Settings, channels: Channels) {
+    let g = &mut work.gaussians;
+    g.assign_shapes(splats);
+    g.sh_degree = splats.sh_degree;
+    std::mem::swap(&mut g.sh, &mut splats.sh);
+    work.rasterizer.render(g, camera, settings, channels, &mut work.frame);
+    std::mem::swap(&mut g.sh, &mut splats.sh);
+}
+
+/// PSNR of colours clamped to [0, 1].
+fn psnr(rendered: &[[f32; 3]], truth: &[[f32; 3]]) -> f64 {
+    let sum: f64 = rendered
+        .iter()
+        .zip(truth)
+        .map(|(a, b)| (0..3).map(|k| (a[k].clamp(0.0, 1.0) - b[k]).powi(2)).sum::<f32>())
+        .fold(0.0, |s, v| s + f64::from(v));
+    -10.0 * (sum / (3.0 * rendered.len().max(1) as f64)).max(1e-12).log10()
+}
