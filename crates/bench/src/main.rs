@@ -2,6 +2,7 @@
 
 mod m1;
 mod s1;
+mod t1;
 mod timing;
 
 use clap::{Parser, Subcommand};
@@ -19,12 +20,15 @@ enum Scene {
     M1(m1::Args),
     /// Rasterization of random Gaussians, forward and backward
     S1(s1::Args),
+    /// Training iterations on the synthetic ice cream
+    T1(t1::Args),
 }
 
 fn main() {
     let line = match Cli::parse().scene {
         Scene::M1(args) => m1::run(&args),
         Scene::S1(args) => s1::run(&args),
+        Scene::T1(args) => t1::run(&args),
     };
     println!("{line}");
 }
