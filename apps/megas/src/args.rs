@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand};
 
-/// Melt, freeze and heat real scenes: splats in, film out.
+use crate::train_args::ReconstructArgs;
+
+/// Melt, freeze and heat real scenes: photographs or splats in, film out.
 #[derive(Debug, Parser)]
 #[command(name = "megas", version, max_term_width = 100, after_help = EXAMPLES, arg_required_else_help = true)]
 pub struct Cli {
@@ -19,6 +21,7 @@ pub struct Cli {
 const EXAMPLES: &str = "\
 Examples:
   megas demo                         melt the embedded ice cream; the films land in megas-out/demo
+  megas reconstruct photos -o donut.ply   splats from posed photographs
   megas inspect donut.ply            what is in a splat file
   megas run donut.toml -o out        melt it: fill, simulate, render
   megas run donut.toml -o out --dry-run   only say what would be done
@@ -67,6 +70,11 @@ pub enum Command {
         /// A .ply, .compressed.ply or .splat file.
         file: PathBuf,
     },
+    /// Train splats on posed photographs (COLMAP or transforms.json).
+    #[command(after_help = "Examples:\n  megas reconstruct photos/ -o thing.ply\n  megas reconstruct photos/ -o thing.ply --profile full \
+                            --downscale 2\n  megas reconstruct photos/ -o thing.ply --dry-run\n\nBeside thing.ply, the folder \
+                            thing.train holds the log, previews, the evaluation and a contact sheet.")]
+    Reconstruct(Box<ReconstructArgs>),
     /// Run a scene from end to end: fill, simulate, render.
     #[command(after_help = "Examples:\n  megas run donut.toml -o out\n  megas run donut.toml -o out --dry-run")]
     Run(SceneArgs),
@@ -124,6 +132,7 @@ impl Command {
         match self {
             Self::Demo { .. } => "demo",
             Self::Inspect { .. } => "inspect",
+            Self::Reconstruct(_) => "reconstruct",
             Self::Run(_) => "run",
             Self::Fill(_) => "fill",
             Self::Simulate(_) => "simulate",

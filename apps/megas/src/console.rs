@@ -73,6 +73,8 @@ struct Stage {
     steps: u64,
     bar: Option<ProgressBar>,
     last_step: Option<Instant>,
+    /// Live figures of the stage.
+    live: Vec<(&'static str, f64)>,
 }
 
 /// The program's end of the pipeline's events.
@@ -91,7 +93,7 @@ impl Console {
             _ if io::stderr().is_terminal() => Mode::Bars,
             _ => Mode::Lines,
         };
-        let stage = Stage { name: String::new(), steps: 0, bar: None, last_step: None };
+        let stage = Stage { name: String::new(), steps: 0, bar: None, last_step: None, live: Vec::new() };
         Self { mode, verbose: options.verbose, stage: Mutex::new(stage) }
     }
 
@@ -114,7 +116,7 @@ impl Console {
             if let Some(old) = s.bar.take() {
                 old.finish_and_clear();
             }
-            *s = Stage { name: name.into(), steps, bar, last_step: None };
+            *s = Stage { name: name.into(), steps, bar, last_step: None, live: Vec::new() };
         });
         match self.mode {
             Mode::Json => print_json(&json!({ "event": "stage", "name": name, "steps": steps })),
@@ -133,11 +135,23 @@ impl Console {
                 return None;
             }
             s.last_step = Some(Instant::now());
-            Some(json!({ "event": "step", "stage": s.name, "done": done, "steps": s.steps }))
+            let mut line = json!({ "event": "step", "stage": s.name, "done": done, "steps": s.steps });
+            s.live.iter().for_each(|(name, value)| line[*name] = json!(value));
+            Some(line)
         });
         if let Some(line) = line {
             print_json(&line);
         }
+    }
+
+    fn live(&self, figures: &[(&'static str, f64)]) {
+        self.with_stage(|s| {
+            s.live = figures.to_vec();
+            if let Some(bar) = &s.bar {
+                let one = |(name, value): &(&str, f64)| format!("{name} {}", crate::summary::figure(name, *value));
+                bar.set_message(figures.iter().map(one).collect::<Vec<_>>().join("  "));
+            }
+        });
     }
 
     fn end(&self, name: &str, seconds: f64) {
@@ -176,6 +190,7 @@ impl Sink for Console {
         match event {
             Event::Stage { name, steps } => self.begin(name, steps),
             Event::Step { done } => self.step(done),
+            Event::Live(figures) => self.live(figures),
             Event::StageDone { name, seconds } => self.end(name, seconds),
             Event::Note(text) => self.message("note", text),
             Event::Warning(text) => self.message("warning", text),
@@ -210,7 +225,7 @@ fn new_bar(name: &str, steps: u64) -> ProgressBar {
     let target = ProgressDrawTarget::stderr_with_hz(8);
     let (bar, template) = match steps {
         0 => (ProgressBar::no_length(), "{prefix:<10} {spinner} {elapsed}"),
-        _ => (ProgressBar::new(steps), "{prefix:<10} [{bar:32}] {pos}/{len}  {elapsed} gone, {left}"),
+        _ => (ProgressBar::new(steps), "{prefix:<10} [{bar:32}] {pos}/{len}  {elapsed} gone, {left}  {msg}"),
     };
     bar.set_draw_target(target);
     if let Ok(style) = ProgressStyle::with_template(template) {

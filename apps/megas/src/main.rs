@@ -4,6 +4,7 @@ mod args;
 mod console;
 mod materials;
 mod summary;
+mod train_args;
 
 use std::process::ExitCode;
 
@@ -90,6 +91,14 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
             let text = summary::table(&figures, true);
             Ok(Answer::Document { text, object: figures })
         }
+        Command::Reconstruct(a) => {
+            let job = a.job(global.threads);
+            if a.dry_run {
+                return megas_pipeline::plan_reconstruct(&job).map(planned);
+            }
+            console::stop_on_ctrl_c();
+            megas_pipeline::reconstruct(&job, &Console::new(global)).map(Answer::Figures)
+        }
         Command::Run(a) => on_file(a, global, megas_pipeline::run),
         Command::Fill(a) => on_file(a, global, megas_pipeline::fill),
         Command::Simulate(a) => on_file(a, global, megas_pipeline::simulate),
@@ -100,6 +109,14 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
         }
         Command::Materials => Ok(Answer::Document { text: materials::table(), object: json!({ "materials": materials::list() }) }),
     }
+}
+
+/// Marks the figures of a dry run.
+fn planned(mut plan: Value) -> Answer {
+    if let Value::Object(map) = &mut plan {
+        map.insert("dry_run".into(), true.into());
+    }
+    Answer::Figures(plan)
 }
 
 type Stage = fn(&LoadedScene, &Options, &dyn megas_pipeline::Sink) -> Result<Value, Failure>;
@@ -113,11 +130,7 @@ fn on_file(a: &SceneArgs, global: &Global, stage: Stage) -> Result<Answer, Failu
 fn on_scene(scene: &LoadedScene, name: &str, output: &Output, global: &Global, stage: Stage) -> Result<Answer, Failure> {
     let options = Options { out: output.folder(name), force: output.force, threads: global.threads.map(usize::from) };
     if output.dry_run {
-        let mut plan = megas_pipeline::plan(scene, &options)?;
-        if let Value::Object(map) = &mut plan {
-            map.insert("dry_run".into(), true.into());
-        }
-        return Ok(Answer::Figures(plan));
+        return megas_pipeline::plan(scene, &options).map(planned);
     }
     console::stop_on_ctrl_c();
     stage(scene, &options, &Console::new(global)).map(Answer::Figures)

@@ -12,6 +12,9 @@ const KNOWN: &[(&str, &str)] = &[
     ("dropped", "rows dropped"),
     ("sh_degree", "SH degree"),
     ("bbox", "bounding box"),
+    ("psnr", "PSNR"),
+    ("ssim", "SSIM"),
+    ("flip", "FLIP"),
     ("frames", "frames"),
     ("seconds", "time"),
     ("particles", "particles"),
@@ -105,12 +108,22 @@ fn scalar(key: &str, value: &Value) -> String {
             (_, Some(v)) if key.ends_with("seconds") || key.ends_with("_s") => duration(v),
             (_, Some(v)) if key.ends_with("bytes") => bytes(v),
             (_, Some(v)) if key.ends_with("_mib") => bytes(v * f64::from(1 << 20)),
+            ("psnr", Some(v)) => format!("{v:.2} dB"),
             ("volume_change", Some(v)) => format!("{:+.3} %", 100.0 * v),
             ("acceleration" | "thermal_acceleration", Some(v)) => format!("{} times faster than nature", number(v)),
             (_, Some(v)) if n.is_f64() => number(v),
             _ => n.to_string(),
         },
         other => other.to_string(),
+    }
+}
+
+/// A live figure, of few and always as many letters.
+pub fn figure(name: &str, value: f64) -> String {
+    match name {
+        "psnr" => format!("{value:.2} dB"),
+        "gaussians" => format!("{value:.0}"),
+        _ => format!("{value:.4}"),
     }
 }
 

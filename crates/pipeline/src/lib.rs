@@ -11,6 +11,7 @@ mod demo;
 mod disk;
 mod inspect;
 mod plan;
+mod reconstruct;
 mod render;
 mod run;
 mod simulate;
@@ -24,7 +25,10 @@ use megas_scene::Scene;
 
 pub use demo::{DEMO_SCENE, demo, demo_scene};
 pub use inspect::inspect;
+pub use megas_capture::Downscale;
+pub use megas_reconstruct::{Method, Profile};
 pub use plan::plan;
+pub use reconstruct::{Backdrop, ReconstructJob, ReconstructSettings, plan_reconstruct, reconstruct};
 pub use run::{fill, render, run, simulate};
 
 /// What a run tells the program around it.
@@ -42,6 +46,8 @@ pub enum Event<'a> {
         /// Steps finished so far.
         done: u64,
     },
+    /// How the current stage is doing: names and values.
+    Live(&'a [(&'static str, f64)]),
     /// A stage has ended.
     StageDone {
         /// Name for people.

@@ -11,12 +11,12 @@ use crate::{Event, Failure, LoadedScene, Options, Sink};
 
 /// Brings the bodies up to date and returns their figures.
 pub fn fill(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
-    in_pool(options, || Ok(bodies(scene, options, sink)?.1))
+    in_pool(options.threads, || Ok(bodies(scene, options, sink)?.1))
 }
 
 /// Brings bodies and simulation up to date and returns the figures of the simulation.
 pub fn simulate(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
-    in_pool(options, || {
+    in_pool(options.threads, || {
         let (bodies, _, key) = bodies(scene, options, sink)?;
         Ok(simulation(scene, &bodies, &key, options, sink)?.0)
     })
@@ -24,7 +24,7 @@ pub fn simulate(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Resu
 
 /// Brings everything up to date and returns the figures of the pictures.
 pub fn render(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
-    in_pool(options, || {
+    in_pool(options.threads, || {
         let (bodies, _, key) = bodies(scene, options, sink)?;
         let (_, path, key) = simulation(scene, &bodies, &key, options, sink)?;
         pictures(scene, &bodies, &path, &key, options, sink)
@@ -34,7 +34,7 @@ pub fn render(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result
 /// The whole job, from the input to the films.
 pub fn run(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
     let start = Instant::now();
-    in_pool(options, || {
+    in_pool(options.threads, || {
         let (bodies, _, key) = bodies(scene, options, sink)?;
         let (simulated, path, key) = simulation(scene, &bodies, &key, options, sink)?;
         let rendered = pictures(scene, &bodies, &path, &key, options, sink)?;
@@ -52,8 +52,8 @@ pub fn run(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Va
 }
 
 /// Runs `work` with the wanted number of threads.
-fn in_pool<T: Send>(options: &Options, work: impl FnOnce() -> Result<T, Failure> + Send) -> Result<T, Failure> {
-    let Some(n) = options.threads else { return work() };
+pub fn in_pool<T: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<T, Failure> + Send) -> Result<T, Failure> {
+    let Some(n) = threads else { return work() };
     let pool =
         rayon::ThreadPoolBuilder::new().num_threads(n).build().map_err(|e| Failure::Other(format!("cannot start {n} threads: {e}")))?;
     pool.install(work)

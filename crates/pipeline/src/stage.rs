@@ -31,7 +31,16 @@ pub struct StageDir {
 impl StageDir {
     /// Looks at `out/name` and decides what can be reused for work with this key. Nothing is created yet.
     pub fn open(options: &Options, name: &str, key: String) -> Result<(Self, Found), Failure> {
-        let stage = Self { path: options.out.join(name), key };
+        let opened = Self::open_at(options.out.join(name), options.force, key)?;
+        if matches!(opened.1, Found::Partial) {
+            sweep(&options.out);
+        }
+        Ok(opened)
+    }
+
+    /// As [`StageDir::open`] for a folder of any name in a folder that may belong to somebody else.
+    pub fn open_at(path: PathBuf, force: bool, key: String) -> Result<(Self, Found), Failure> {
+        let stage = Self { path, key };
         let marker = stage.marker();
         let Some(found) = read_json(&marker) else {
             if stage.path.exists() && std::fs::read_dir(&stage.path).is_ok_and(|mut d| d.next().is_some()) {
@@ -47,10 +56,9 @@ impl StageDir {
                 return Ok((stage, Found::Done(found["figures"].clone())));
             }
             sweep(&stage.path);
-            sweep(&options.out);
             return Ok((stage, Found::Partial));
         }
-        if !options.force {
+        if !force {
             return Err(Failure::Input(format!(
                 "{} holds the result of another scene or of other settings; use --force to replace it, or another folder with -o",
                 stage.path.display()
@@ -101,9 +109,14 @@ impl KeyBuilder {
     }
 
     /// Adds text.
-    pub fn text(mut self, text: &str) -> Self {
-        self.0.update(&(text.len() as u64).to_le_bytes());
-        self.0.update(text.as_bytes());
+    pub fn text(self, text: &str) -> Self {
+        self.bytes(text.as_bytes())
+    }
+
+    /// Adds bytes.
+    pub fn bytes(mut self, bytes: &[u8]) -> Self {
+        self.0.update(&(bytes.len() as u64).to_le_bytes());
+        self.0.update(bytes);
         self
     }
 
@@ -114,11 +127,9 @@ impl KeyBuilder {
     }
 
     /// Adds the contents of a file.
-    pub fn file(mut self, path: &Path) -> Result<Self, Failure> {
+    pub fn file(self, path: &Path) -> Result<Self, Failure> {
         let bytes = std::fs::read(path).map_err(|e| crate::disk::explain("read", path, &e))?;
-        self.0.update(&(bytes.len() as u64).to_le_bytes());
-        self.0.update(&bytes);
-        Ok(self)
+        Ok(self.bytes(&bytes))
     }
 
     /// The key.

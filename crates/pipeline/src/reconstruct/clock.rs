@@ -1,0 +1,57 @@
+//! Wall and processor time of a training, over interruptions.
+
+use std::path::Path;
+use std::time::Instant;
+
+use serde_json::json;
+
+use crate::Failure;
+use crate::disk::{read_json, write_json};
+
+/// Processor seconds of all threads of this process; `None` where the system does not tell.
+fn processor_seconds() -> Option<f64> {
+    let mut total = None;
+    for task in std::fs::read_dir("/proc/self/task").ok()?.flatten() {
+        // A thread may end while its neighbours are counted.
+        let Ok(text) = std::fs::read_to_string(task.path().join("schedstat")) else { continue };
+        let nanoseconds: Option<f64> = text.split_whitespace().next().and_then(|v| v.parse().ok());
+        total = Some(total.unwrap_or(0.0) + nanoseconds.unwrap_or(0.0) * 1e-9);
+    }
+    total
+}
+
+/// Time spent since the training began, in this process and in those before it.
+pub struct Clock {
+    wall: Instant,
+    processor: Option<f64>,
+    before: (f64, Option<f64>),
+}
+
+impl Clock {
+    /// Starts at zero.
+    pub fn start() -> Self {
+        Self { wall: Instant::now(), processor: processor_seconds(), before: (0.0, Some(0.0)) }
+    }
+
+    /// Goes on from what [`Clock::save`] wrote; from zero if there is nothing to read.
+    pub fn resume(path: &Path) -> Self {
+        let saved = read_json(path).unwrap_or_default();
+        let before = (saved["seconds"].as_f64().unwrap_or(0.0), saved["core_seconds"].as_f64());
+        Self { before, ..Self::start() }
+    }
+
+    /// Wall time \[s\].
+    pub fn seconds(&self) -> f64 {
+        self.before.0 + self.wall.elapsed().as_secs_f64()
+    }
+
+    /// Processor time of all threads \[s\].
+    pub fn core_seconds(&self) -> Option<f64> {
+        Some(self.before.1? + processor_seconds()? - self.processor?)
+    }
+
+    /// Keeps the time for a resumed training.
+    pub fn save(&self, path: &Path) -> Result<(), Failure> {
+        write_json(path, &json!({ "seconds": self.seconds(), "core_seconds": self.core_seconds() }))
+    }
+}
