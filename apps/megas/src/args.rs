@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand};
 
-use crate::train_args::ReconstructArgs;
+use crate::train_args::{FinetuneArgs, ReconstructArgs};
 
 /// Melt, freeze and heat real scenes: photographs or splats in, film out.
 #[derive(Debug, Parser)]
@@ -75,6 +75,10 @@ pub enum Command {
                             --downscale 2\n  megas reconstruct photos/ -o thing.ply --dry-run\n\nBeside thing.ply, the folder \
                             thing.train holds the log, previews, the evaluation and a contact sheet.")]
     Reconstruct(Box<ReconstructArgs>),
+    /// Make a splat from anywhere fit to melt, without photographs: no needles, nothing hidden inside, flat small kernels.
+    #[command(after_help = "Examples:\n  megas finetune donut.ply -o tuned.ply\n  megas finetune donut.ply -o tuned.ply --preview\n  \
+                            megas finetune room.ply -o vase.ply --above-support-plane --largest-component --up=-y")]
+    Finetune(Box<FinetuneArgs>),
     /// Run a scene from end to end: fill, simulate, render.
     #[command(after_help = "Examples:\n  megas run donut.toml -o out\n  megas run donut.toml -o out --dry-run")]
     Run(SceneArgs),
@@ -133,6 +137,7 @@ impl Command {
             Self::Demo { .. } => "demo",
             Self::Inspect { .. } => "inspect",
             Self::Reconstruct(_) => "reconstruct",
+            Self::Finetune(_) => "finetune",
             Self::Run(_) => "run",
             Self::Fill(_) => "fill",
             Self::Simulate(_) => "simulate",

@@ -99,6 +99,14 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
             console::stop_on_ctrl_c();
             megas_pipeline::reconstruct(&job, &Console::new(global)).map(Answer::Figures)
         }
+        Command::Finetune(a) => {
+            let job = a.job(global.threads);
+            if a.dry_run {
+                return megas_pipeline::plan_finetune(&job).map(planned);
+            }
+            console::stop_on_ctrl_c();
+            megas_pipeline::finetune(&job, &Console::new(global)).map(Answer::Figures)
+        }
         Command::Run(a) => on_file(a, global, megas_pipeline::run),
         Command::Fill(a) => on_file(a, global, megas_pipeline::fill),
         Command::Simulate(a) => on_file(a, global, megas_pipeline::simulate),

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use megas_pipeline::{Backdrop, Downscale, Method, Profile, ReconstructJob, ReconstructSettings};
+use megas_pipeline::{Backdrop, Downscale, FinetuneJob, FinetuneSettings, Method, Profile, ReconstructJob, ReconstructSettings};
+use megas_scene::Select;
 
 /// A parser of exactly these names.
 fn named<T: Copy + Send + Sync + 'static>(names: Vec<(&'static str, T)>) -> impl TypedValueParser<Value = T> {
@@ -32,8 +33,7 @@ fn downscale(text: &str) -> Result<Downscale, String> {
 }
 
 fn object_box(text: &str) -> Result<[f32; 6], String> {
-    let numbers: Option<Vec<f32>> = text.split(',').map(|n| n.trim().parse().ok().filter(|v: &f32| v.is_finite())).collect();
-    let six: Option<[f32; 6]> = numbers.and_then(|n| n.try_into().ok());
+    let six: Option<[f32; 6]> = numbers::<6>(text).map(|n| n.map(|v| v as f32));
     six.filter(|b| b[3..].iter().all(|h| *h > 0.0)).ok_or("expected cx,cy,cz,hx,hy,hz: a centre and positive half extents".into())
 }
 
@@ -147,6 +147,143 @@ impl ReconstructArgs {
     }
 }
 
+/// A direction: `+z`, `-y`, …, or three numbers.
+fn direction(text: &str) -> Result<[f64; 3], String> {
+    let error = || "expected +x, -x, +y, -y, +z, -z or three numbers like 0,-1,0".to_owned();
+    if let [sign @ (b'+' | b'-'), axis @ b'x'..=b'z'] = text.as_bytes() {
+        let mut v = [0.0; 3];
+        v[usize::from(axis - b'x')] = if *sign == b'+' { 1.0 } else { -1.0 };
+        return Ok(v);
+    }
+    let v = numbers::<3>(text).ok_or_else(error)?;
+    if v.iter().any(|c| *c != 0.0) { Ok(v) } else { Err(error()) }
+}
+
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let all: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
+    all?.try_into().ok()
+}
+
+fn point(text: &str) -> Result<[f64; 3], String> {
+    numbers(text).ok_or("expected three numbers: x,y,z".into())
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|v| (0.0..=1.0).contains(v)).ok_or("expected a number from 0 to 1".into())
+}
+
+fn length(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|v: &f64| *v > 0.0 && v.is_finite()).ok_or("expected a positive number".into())
+}
+
+/// Arguments of `finetune`.
+#[derive(Args, Clone, Debug)]
+pub struct FinetuneArgs {
+    /// A .ply, .compressed.ply or .splat file.
+    pub splat: PathBuf,
+    /// Splat file to write [default: megas-out/NAME.tuned.ply].
+    #[arg(short, long = "output", value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Views of 320 pixels and 400 steps instead of 640 and 1000: minutes on two cores.
+    #[arg(long)]
+    pub preview: bool,
+    /// Steps [default: 1000].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub steps: Option<u32>,
+    /// Side of the virtual views in pixels [default: 640].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(32..=4096))]
+    pub size: Option<u32>,
+    /// Virtual views to train on.
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(2..=4096))]
+    pub views: u32,
+    /// Simulator cells along the object's longest side: kernels stay below half a cell.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub cells: Option<u32>,
+    /// Most Gaussians.
+    #[arg(long, value_name = "N", default_value_t = 600_000, value_parser = count)]
+    pub max_gaussians: usize,
+    /// Seed of everything random.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// What of the file is the object.
+    #[command(flatten)]
+    pub select: SelectArgs,
+    /// Also write what is not selected, as it was.
+    #[arg(long)]
+    pub keep_rest: bool,
+    /// Replace an existing file, or an unfinished training with other settings.
+    #[arg(long)]
+    pub force: bool,
+    /// Only say what would be done, how much memory and roughly how long it takes.
+    #[arg(long)]
+    pub dry_run: bool,
+}
+
+/// The simple tools of a scene's `select`; the whole file without any.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Selecting the object")]
+pub struct SelectArgs {
+    /// Keep only the largest connected component.
+    #[arg(long)]
+    pub largest_component: bool,
+    /// Keep only the connected component nearest to this point.
+    #[arg(long, value_name = "x,y,z", value_parser = point, allow_hyphen_values = true)]
+    pub seed_point: Option<[f64; 3]>,
+    /// Fit the plane that the thing stands on and keep what is above it.
+    #[arg(long)]
+    pub above_support_plane: bool,
+    /// The direction that points up in the file.
+    #[arg(long, value_name = "DIRECTION", value_parser = direction, default_value = "+z", allow_hyphen_values = true)]
+    pub up: [f64; 3],
+    /// Least opacity, 0 to 1.
+    #[arg(long, value_name = "O", value_parser = share)]
+    pub min_opacity: Option<f64>,
+    /// Longest standard deviation, in the file's units.
+    #[arg(long, value_name = "S", value_parser = length)]
+    pub max_scale: Option<f64>,
+}
+
+impl SelectArgs {
+    fn select(&self) -> Vec<Select> {
+        let select = Select {
+            largest_component: self.largest_component,
+            seed: self.seed_point,
+            above_support_plane: self.above_support_plane,
+            min_opacity: self.min_opacity,
+            max_scale: self.max_scale,
+            ..Select::default()
+        };
+        if select == Select::default() { Vec::new() } else { vec![select] }
+    }
+}
+
+impl FinetuneArgs {
+    /// The job.
+    pub fn job(&self, threads: Option<u16>) -> FinetuneJob {
+        let name = self.splat.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let stem = name.split('.').next().filter(|s| !s.is_empty()).unwrap_or("splat");
+        let default = || Path::new("megas-out").join(format!("{stem}.tuned.ply"));
+        let base = if self.preview { FinetuneSettings::preview() } else { FinetuneSettings::default() };
+        FinetuneJob {
+            select: self.select.select(),
+            up: self.select.up,
+            keep_rest: self.keep_rest,
+            settings: FinetuneSettings {
+                steps: self.steps.unwrap_or(base.steps),
+                size: self.size.unwrap_or(base.size),
+                views: self.views,
+                seed: self.seed,
+                cells: self.cells,
+                max_gaussians: self.max_gaussians,
+                ..base
+            },
+            force: self.force,
+            threads: threads.map(usize::from),
+            ..FinetuneJob::new(self.splat.clone(), self.out.clone().unwrap_or_else(default))
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,5 +297,9 @@ mod tests {
         assert!(object_box("1,2,3").is_err() && object_box("1,2,3,0,1,1").is_err() && object_box("a,2,3,1,1,1").is_err());
         assert!(gibibytes("0").is_err() && gibibytes("nan").is_err() && gibibytes("1.5") == Ok(1.5));
         assert!(count("0").is_err());
+        assert_eq!(direction("-y"), Ok([0.0, -1.0, 0.0]));
+        assert_eq!(direction("0.5,0,1"), Ok([0.5, 0.0, 1.0]));
+        assert!(direction("y").is_err() && direction("0,0,0").is_err() && direction("+w").is_err());
+        assert!(share("1.1").is_err() && length("-1").is_err() && point("1,2").is_err());
     }
 }

@@ -475,7 +475,7 @@ pub fn total_height(meta: &BodyMeta) -> f64 {
 }
 
 /// The scene's selection in the words of the body crate (scene.toml applies filters, then the support plane, then components).
-fn selection(s: &Select, up: [f64; 3]) -> Selection {
+pub fn selection(s: &Select, up: [f64; 3]) -> Selection {
     let f = |v: [f64; 3]| v.map(|c| c as f32);
     let mut parts = Vec::new();
     if let Some(b) = &s.in_box {

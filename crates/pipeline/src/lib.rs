@@ -28,7 +28,9 @@ pub use inspect::inspect;
 pub use megas_capture::Downscale;
 pub use megas_reconstruct::{Method, Profile};
 pub use plan::plan;
-pub use reconstruct::{Backdrop, ReconstructJob, ReconstructSettings, plan_reconstruct, reconstruct};
+pub use reconstruct::{
+    Backdrop, FinetuneJob, FinetuneSettings, ReconstructJob, ReconstructSettings, finetune, plan_finetune, plan_reconstruct, reconstruct,
+};
 pub use run::{fill, render, run, simulate};
 
 /// What a run tells the program around it.

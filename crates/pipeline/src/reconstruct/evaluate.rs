@@ -1,12 +1,16 @@
 //! Held-out views: how well they are met, as numbers and as a contact sheet (splatting.md §9.3 M1).
 
+use std::path::{Path, PathBuf};
+
 use megas_capture::Photo;
+use megas_film::write_png;
 use megas_metrics::image::Quality;
 use megas_model::{Camera, Image};
 use serde_json::{Value, json};
 
 use super::pictures::{ContactSheet, over};
-use crate::Failure;
+use crate::disk::write_json;
+use crate::{Event, Failure, Sink};
 
 /// Colour behind transparent photographs when they are compared.
 pub const WHITE: [f32; 3] = [1.0; 3];
@@ -43,6 +47,16 @@ impl Evaluation {
         }
         let qualities: Vec<Quality> = views.iter().map(|v| v.1).collect();
         Ok(Self { mean: Quality::mean(&qualities), views, sheet: sheet.image() })
+    }
+
+    /// Writes the figures and, if there are views, the contact sheet, whose path is returned.
+    pub fn write(&self, folder: &Path, sink: &dyn Sink) -> Result<Option<PathBuf>, Failure> {
+        write_json(&folder.join("evaluation.json"), &self.to_json())?;
+        let Some(image) = &self.sheet else { return Ok(None) };
+        let path = folder.join("contact_sheet.png");
+        write_png(&path, image, true).map_err(|e| Failure::Input(e.to_string()))?;
+        sink.event(Event::File(&path));
+        Ok(Some(path))
     }
 
     /// Means and every view.

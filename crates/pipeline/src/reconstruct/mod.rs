@@ -5,103 +5,56 @@
 mod clock;
 mod data;
 mod evaluate;
+mod finetune;
 mod log;
 mod measure;
 mod pictures;
+mod places;
 mod plan;
 mod settings;
 mod training;
 
-use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use megas_film::write_png;
 use megas_reconstruct::{Background, Trainer};
 use serde_json::{Value, json};
 
-use crate::disk::{check_writable, create_dir, write_json};
 use crate::run::in_pool;
-use crate::stage::{Found, StageDir};
 use crate::{Event, Failure, Sink};
 
 use data::TrainingData;
 use evaluate::Evaluation;
 use measure::{TWO_PERCENT, measure, true_surface};
+use places::{Opened, Places};
 use training::{Preview, TrainingFolder, write_splats};
 
+pub use finetune::{FinetuneJob, FinetuneSettings, finetune, plan_finetune};
 pub use plan::plan_reconstruct;
 pub use settings::{Backdrop, ReconstructJob, ReconstructSettings};
 
-/// Files of a reconstruction.
-struct Places {
-    /// The splats.
-    output: PathBuf,
-    /// The splats of an interrupted training.
-    partial: PathBuf,
-    /// The folder of the training.
-    folder: PathBuf,
-}
-
-impl Places {
-    fn new(output: &Path) -> Result<Self, Failure> {
-        let bad = |why: &str| Failure::Input(format!("{}: {why}; give a file like scene.ply with -o", output.display()));
-        let name = output.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let lower = name.to_ascii_lowercase();
-        let extension = [".compressed.ply", ".ply", ".splat"].into_iter().find(|e| lower.ends_with(e) && lower.len() > e.len());
-        let Some(extension) = extension else { return Err(bad("not a .ply, .compressed.ply or .splat file")) };
-        if output.is_dir() {
-            return Err(bad("this is a folder"));
-        }
-        let (stem, extension) = name.split_at(name.len() - extension.len());
-        let beside = |name: String| output.with_file_name(name);
-        let partial = beside(format!("{stem}.partial{extension}"));
-        Ok(Self { output: output.to_path_buf(), partial, folder: beside(format!("{stem}.train")) })
-    }
-
-    /// Refuses to start where something would be lost in the end.
-    fn check(&self, found: &Found, force: bool) -> Result<(), Failure> {
-        let fresh = matches!(found, Found::Nothing);
-        let in_the_way = [Some(&self.output), fresh.then_some(&self.partial)].into_iter().flatten().find(|p| p.exists());
-        match in_the_way {
-            Some(path) if !force => {
-                Err(Failure::Input(format!("{} exists; use --force to replace it, or another file with -o", path.display())))
-            }
-            _ => Ok(()),
-        }
-    }
-}
-
 /// Trains splats on a capture and returns the figures of the result.
 pub fn reconstruct(job: &ReconstructJob, sink: &dyn Sink) -> Result<Value, Failure> {
-    in_pool(job.threads, || reconstruct_here(job, sink))
+    in_pool(job.threads, || reconstruct_here(job, "train", sink))
 }
 
-/// As [`reconstruct`] in the current pool of threads.
-fn reconstruct_here(job: &ReconstructJob, sink: &dyn Sink) -> Result<Value, Failure> {
+/// As [`reconstruct`] in the current pool of threads; `label` names the training in its progress.
+pub(crate) fn reconstruct_here(job: &ReconstructJob, label: &str, sink: &dyn Sink) -> Result<Value, Failure> {
     let places = Places::new(&job.output)?;
     sink.event(Event::Stage { name: "load", steps: 0 });
     let begin = Instant::now();
     let data = TrainingData::load(job)?;
     let surface = true_surface(&job.capture)?;
     sink.event(Event::StageDone { name: "load", seconds: begin.elapsed().as_secs_f64() });
-    let (stage, found) = match StageDir::open_at(places.folder.clone(), job.force, data.key.clone())? {
-        (_, Found::Done(figures)) if places.output.exists() => {
+    let (stage, found) = match places.open(data.key.clone(), job.force)? {
+        Opened::Done(figures) => {
             sink.event(Event::Note("the reconstruction is up to date"));
             return Ok(figures);
         }
-        // Somebody took the result away: it is made again.
-        (stage, Found::Done(_)) => (stage, Found::Nothing),
-        other => other,
+        Opened::Todo(stage, found) => (stage, found),
     };
-    places.check(&found, job.force)?;
     tell(&data, sink);
-    check_writable(&places.folder)?;
-    if let Some(parent) = places.output.parent().filter(|p| !p.as_os_str().is_empty()) {
-        create_dir(parent)?;
-    }
-    stage.begin()?;
-
-    let folder = TrainingFolder { path: &stage.path, partial: Some(places.partial.clone()), again: "run the same command again" };
+    places.begin(&stage)?;
+    let folder = TrainingFolder { path: &stage.path, partial: places.partial.clone(), label };
     let transparent = data.transparent();
     let background = match data.options.background {
         Background::Fixed(c) => c,
@@ -120,14 +73,7 @@ fn reconstruct_here(job: &ReconstructJob, sink: &dyn Sink) -> Result<Value, Fail
     let w_max = trainer.largest_weights();
     let region = trainer.options().region.filter(|_| !transparent);
     let (report, hidden) = measure(trainer.splats(), &w_max, region.as_ref(), surface.as_ref());
-    write_json(&stage.path.join("evaluation.json"), &evaluation.to_json())?;
-    let mut sheet = None;
-    if let Some(image) = &evaluation.sheet {
-        let path = stage.path.join("contact_sheet.png");
-        write_png(&path, image, true).map_err(|e| Failure::Input(e.to_string()))?;
-        sink.event(Event::File(&path));
-        sheet = Some(path);
-    }
+    let sheet = evaluation.write(&stage.path, sink)?;
     sink.event(Event::StageDone { name: "evaluate", seconds: begin.elapsed().as_secs_f64() });
     let quality = evaluation.mean;
     let figures = json!({

@@ -3,19 +3,27 @@
 use megas_reconstruct::Method;
 use serde_json::{Value, json};
 
-use super::Places;
 use super::data::TrainingData;
+use super::places::Places;
 use super::settings::ReconstructJob;
 use crate::Failure;
 use crate::run::in_pool;
-use crate::stage::StageDir;
 
-/// Core-seconds of an iteration: per pixel of a view and per Gaussian.
-const CORE_S_PER_PIXEL: f64 = 3.0e-7;
-const CORE_S_PER_GAUSSIAN: f64 = 1.0e-6;
+/// Core-seconds of an iteration: in any case, per pixel of a view and per Gaussian.
+const CORE_S: [f64; 3] = [0.01, 1.5e-7, 3.0e-7];
 /// Bytes per Gaussian (parameters, gradients, two moments, lists) and per pixel of a view while it is trained on.
 const BYTES_PER_GAUSSIAN: f64 = 1500.0;
 const BYTES_PER_PIXEL: f64 = 300.0;
+
+/// Estimate of the time of a training \[s\].
+pub fn training_seconds(iterations: u32, pixels: f64, gaussians: f64, threads: f64) -> f64 {
+    (f64::from(iterations) * (CORE_S[0] + CORE_S[1] * pixels + CORE_S[2] * gaussians) / threads).round()
+}
+
+/// Estimate of the memory of a training whose views take `bytes` \[MiB\].
+pub fn memory_mib(bytes: f64, pixels: f64, gaussians: f64) -> f64 {
+    ((bytes + gaussians * BYTES_PER_GAUSSIAN + pixels * BYTES_PER_PIXEL) / f64::from(1 << 20)).round()
+}
 
 /// Describes a reconstruction without doing it. The photographs are loaded, so bad ones are found.
 pub fn plan_reconstruct(job: &ReconstructJob) -> Result<Value, Failure> {
@@ -24,10 +32,7 @@ pub fn plan_reconstruct(job: &ReconstructJob) -> Result<Value, Failure> {
         let data = TrainingData::load(job)?;
         // With `force` a training of other settings would be removed here.
         if !job.force {
-            let (_, found) = StageDir::open_at(places.folder.clone(), false, data.key.clone())?;
-            if !matches!(found, crate::stage::Found::Done(_)) {
-                places.check(&found, false)?;
-            }
+            places.open(data.key.clone(), false)?;
         }
         let photos = || data.capture.train.iter().chain(&data.capture.test);
         let bytes: usize = photos().map(|p| p.pixels.len() + p.mask.as_ref().map_or(0, Vec::len)).sum();
@@ -40,7 +45,7 @@ pub fn plan_reconstruct(job: &ReconstructJob) -> Result<Value, Failure> {
         };
         let expected = expected.max(data.start.len() / 2).min(most) as f64;
         let threads = job.threads.unwrap_or_else(rayon::current_num_threads) as f64;
-        let per_iteration = CORE_S_PER_PIXEL * pixels + CORE_S_PER_GAUSSIAN * expected;
+        let seconds = training_seconds(o.iterations, pixels, expected, threads);
         let first = &data.capture.train[0].camera;
         Ok(json!({
             "stages": ["load", "train", "evaluate"],
@@ -60,8 +65,8 @@ pub fn plan_reconstruct(job: &ReconstructJob) -> Result<Value, Failure> {
             "max_gaussians": most,
             "gaussians_estimate": expected,
             "threads": threads,
-            "memory_mib_estimate": ((bytes as f64 + expected * BYTES_PER_GAUSSIAN + pixels * BYTES_PER_PIXEL) / f64::from(1 << 20)).round(),
-            "train_s_estimate": (per_iteration * f64::from(o.iterations) / threads).round(),
+            "memory_mib_estimate": memory_mib(bytes as f64, pixels, expected),
+            "train_s_estimate": seconds,
             "remarks": data.capture.notes,
         }))
     })

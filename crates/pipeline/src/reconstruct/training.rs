@@ -30,10 +30,10 @@ const SMOOTHING: f64 = 0.04;
 pub struct TrainingFolder<'a> {
     /// The folder; it exists.
     pub path: &'a Path,
-    /// Where an interrupted training leaves what it has so far, if anywhere.
-    pub partial: Option<PathBuf>,
-    /// Command to repeat, for messages.
-    pub again: &'static str,
+    /// Where an interrupted training leaves what it has so far.
+    pub partial: PathBuf,
+    /// Name of the training in its progress.
+    pub label: &'a str,
 }
 
 /// What a training shows while it runs.
@@ -61,7 +61,7 @@ impl TrainingFolder<'_> {
         let clock = if resumed { Clock::resume(&self.time()) } else { Clock::start() };
         let total = trainer.options().iterations;
         let mut log = TrainingLog::open(self.path.join("log.jsonl"), trainer.step_count())?;
-        sink.event(Event::Stage { name: "train", steps: u64::from(total) });
+        sink.event(Event::Stage { name: self.label, steps: u64::from(total) });
         if resumed {
             sink.event(Event::Note(&format!("continuing after iteration {} of {total}", trainer.step_count())));
         }
@@ -98,7 +98,7 @@ impl TrainingFolder<'_> {
                 saved = Instant::now();
             }
         }
-        sink.event(Event::StageDone { name: "train", seconds: begin.elapsed().as_secs_f64() });
+        sink.event(Event::StageDone { name: self.label, seconds: begin.elapsed().as_secs_f64() });
         Ok(clock)
     }
 
@@ -129,16 +129,15 @@ impl TrainingFolder<'_> {
         if let Err(e) = self.save(trainer, clock) {
             return e;
         }
-        let mut so_far = String::new();
-        if let Some(path) = &self.partial {
-            if let Err(e) = write_splats(path, &trainer.export(), true) {
-                return e;
-            }
-            sink.event(Event::File(path));
-            so_far = format!("; the splats so far are in {}", path.display());
+        if let Err(e) = write_splats(&self.partial, &trainer.export(), true) {
+            return e;
         }
-        let step = trainer.step_count();
-        Failure::Interrupted(format!("stopped after iteration {step} of {total}{so_far}; {} to continue", self.again))
+        sink.event(Event::File(&self.partial));
+        Failure::Interrupted(format!(
+            "stopped after iteration {} of {total}; the splats so far are in {}; run the same command again to continue",
+            trainer.step_count(),
+            self.partial.display()
+        ))
     }
 
     /// A render beside its photograph.
@@ -154,7 +153,7 @@ impl TrainingFolder<'_> {
 
     /// Removes what only an unfinished training needs.
     pub fn tidy(&self) {
-        for path in [Some(self.checkpoint()), Some(self.time()), self.partial.clone()].into_iter().flatten() {
+        for path in [&self.checkpoint(), &self.time(), &self.partial] {
             let _ = std::fs::remove_file(path);
         }
     }
