@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand};
 
-use crate::train_args::{FinetuneArgs, ReconstructArgs};
+use crate::train_args::{FinetuneArgs, ReconstructArgs, StudyArgs};
 
 /// Melt, freeze and heat real scenes: photographs or splats in, film out.
 #[derive(Debug, Parser)]
@@ -79,6 +79,9 @@ pub enum Command {
     #[command(after_help = "Examples:\n  megas finetune donut.ply -o tuned.ply\n  megas finetune donut.ply -o tuned.ply --preview\n  \
                             megas finetune room.ply -o vase.ply --above-support-plane --largest-component --up=-y")]
     Finetune(Box<FinetuneArgs>),
+    /// Measure methods against each other.
+    #[command(subcommand, arg_required_else_help = true)]
+    Eval(Study),
     /// Run a scene from end to end: fill, simulate, render.
     #[command(after_help = "Examples:\n  megas run donut.toml -o out\n  megas run donut.toml -o out --dry-run")]
     Run(SceneArgs),
@@ -97,6 +100,15 @@ pub enum Command {
     /// List the material presets.
     #[command(after_help = "Examples:\n  megas materials\n  megas materials --json")]
     Materials,
+}
+
+/// What can be measured.
+#[derive(Debug, Subcommand)]
+pub enum Study {
+    /// Compare reconstruction methods on captures: M1 to M5 as a table. May take hours; the same command goes on.
+    #[command(after_help = "Examples:\n  megas eval reconstruct ice/ cow/ --methods vanilla,ours --seeds 3 -o study\n  \
+                            megas eval reconstruct ice/ --methods all --profile tiny --downscale 4 -o study")]
+    Reconstruct(Box<StudyArgs>),
 }
 
 /// Arguments of the commands that work on a scene.
@@ -138,6 +150,7 @@ impl Command {
             Self::Inspect { .. } => "inspect",
             Self::Reconstruct(_) => "reconstruct",
             Self::Finetune(_) => "finetune",
+            Self::Eval(Study::Reconstruct(_)) => "eval reconstruct",
             Self::Run(_) => "run",
             Self::Fill(_) => "fill",
             Self::Simulate(_) => "simulate",

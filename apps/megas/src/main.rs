@@ -107,6 +107,10 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
             console::stop_on_ctrl_c();
             megas_pipeline::finetune(&job, &Console::new(global)).map(Answer::Figures)
         }
+        Command::Eval(args::Study::Reconstruct(a)) => {
+            console::stop_on_ctrl_c();
+            megas_pipeline::study(&a.job(global.threads), &Console::new(global)).map(Answer::Figures)
+        }
         Command::Run(a) => on_file(a, global, megas_pipeline::run),
         Command::Fill(a) => on_file(a, global, megas_pipeline::fill),
         Command::Simulate(a) => on_file(a, global, megas_pipeline::simulate),

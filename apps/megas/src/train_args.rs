@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use megas_pipeline::{Backdrop, Downscale, FinetuneJob, FinetuneSettings, Method, Profile, ReconstructJob, ReconstructSettings};
+use megas_pipeline::{Backdrop, Downscale, FinetuneJob, FinetuneSettings, Method, Profile, ReconstructJob, ReconstructSettings, StudyJob};
 use megas_scene::Select;
 
 /// A parser of exactly these names.
@@ -284,6 +284,91 @@ impl FinetuneArgs {
     }
 }
 
+/// Arguments of `eval reconstruct`. Method and seed are those of [`TrainingArgs`] where one is enough.
+#[derive(Args, Clone, Debug)]
+pub struct StudyArgs {
+    /// Folders of captures; those with a true surface in mesh/whole.ply say the most.
+    #[arg(required = true)]
+    pub captures: Vec<PathBuf>,
+    /// Methods, separated by commas, or all.
+    #[arg(long, value_name = "LIST", value_parser = method_list, default_value = "vanilla,ours")]
+    pub methods: MethodList,
+    /// Trainings of vanilla and ours with different seeds; the others get one.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub seeds: u32,
+    /// The other methods get all seeds too.
+    #[arg(long)]
+    pub seeds_all: bool,
+    /// Length and size of the trainings.
+    #[arg(long, value_parser = profiles(), default_value = "object")]
+    pub profile: Profile,
+    /// Iterations; all milestones follow [default: the profile's].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub iterations: Option<u32>,
+    /// Reduce the photographs by this factor; auto reduces those wider than 1600 pixels.
+    #[arg(long, value_name = "auto|N", value_parser = downscale, default_value = "auto")]
+    pub downscale: Downscale,
+    /// Hold out every so many views, unless the capture says itself which.
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    pub eval_every: u32,
+    /// The first seed.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Memory for the photographs in GiB.
+    #[arg(long, value_name = "GIB", default_value = "8", value_parser = gibibytes)]
+    pub memory_budget: f64,
+    /// Folder of the results [default: megas-out/eval].
+    #[arg(short, long = "output", value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace results of other settings.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Several methods.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MethodList(Vec<Method>);
+
+fn method_list(text: &str) -> Result<MethodList, String> {
+    if text == "all" {
+        return Ok(MethodList(Method::ALL.to_vec()));
+    }
+    let names = || Method::ALL.map(Method::name).join(", ");
+    let mut list = Vec::new();
+    for name in text.split(',').map(str::trim) {
+        let found = Method::ALL.into_iter().find(|m| m.name() == name);
+        let method = found.ok_or_else(|| format!("no method '{name}'; there are {} and all", names()))?;
+        if !list.contains(&method) {
+            list.push(method);
+        }
+    }
+    Ok(MethodList(list))
+}
+
+impl StudyArgs {
+    /// The job.
+    pub fn job(&self, threads: Option<u16>) -> StudyJob {
+        StudyJob {
+            captures: self.captures.clone(),
+            methods: self.methods.0.clone(),
+            seeds: self.seeds,
+            seeds_all: self.seeds_all,
+            settings: ReconstructSettings {
+                profile: self.profile,
+                iterations: self.iterations,
+                downscale: self.downscale,
+                eval_every: self.eval_every,
+                seed: self.seed,
+                ..ReconstructSettings::default()
+            },
+            memory_gib: self.memory_budget,
+            out: self.out.clone().unwrap_or_else(|| Path::new("megas-out").join("eval")),
+            force: self.force,
+            threads: threads.map(usize::from),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -297,6 +382,9 @@ mod tests {
         assert!(object_box("1,2,3").is_err() && object_box("1,2,3,0,1,1").is_err() && object_box("a,2,3,1,1,1").is_err());
         assert!(gibibytes("0").is_err() && gibibytes("nan").is_err() && gibibytes("1.5") == Ok(1.5));
         assert!(count("0").is_err());
+        assert_eq!(method_list("ours, vanilla,ours"), Ok(MethodList(vec![Method::Ours, Method::Vanilla])));
+        assert_eq!(method_list("all").map(|l| l.0.len()), Ok(6));
+        assert!(method_list("best").is_err_and(|e| e.contains("pgsr-prune")));
         assert_eq!(direction("-y"), Ok([0.0, -1.0, 0.0]));
         assert_eq!(direction("0.5,0,1"), Ok([0.5, 0.0, 1.0]));
         assert!(direction("y").is_err() && direction("0,0,0").is_err() && direction("+w").is_err());

@@ -16,6 +16,7 @@ mod render;
 mod run;
 mod simulate;
 mod stage;
+mod study;
 mod table;
 
 use std::fmt;
@@ -32,6 +33,7 @@ pub use reconstruct::{
     Backdrop, FinetuneJob, FinetuneSettings, ReconstructJob, ReconstructSettings, finetune, plan_finetune, plan_reconstruct, reconstruct,
 };
 pub use run::{fill, render, run, simulate};
+pub use study::{StudyJob, study};
 
 /// What a run tells the program around it.
 #[derive(Clone, Copy, Debug)]

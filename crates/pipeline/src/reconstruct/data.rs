@@ -49,13 +49,15 @@ impl TrainingData {
         if capture.points.is_none() && s.seeds_count == 0 {
             return Err(Failure::Input("seeds-count: found 0, expected at least 1, for the capture has no points".into()));
         }
-        let start = initial_splats(&seeds(&capture, s.seeds_count, s.seed));
-        if start.is_empty() {
-            return Err(Failure::Input(format!("{}: nothing to begin with: the views show no common place", job.capture.display())));
-        }
         let region = object_region(&job.capture, &mut capture, s)?;
         let transparent = capture.train.iter().all(|p| p.channels == 4);
         let options = trainer_options(s, extent(capture.train.iter().map(|p| &p.camera)), region, transparent)?;
+        // More than there may be in the end would only be thinned out.
+        let count = options.refinement.map_or(s.seeds_count, |r| s.seeds_count.min(r.most));
+        let start = initial_splats(&seeds(&capture, count, s.seed));
+        if start.is_empty() {
+            return Err(Failure::Input(format!("{}: nothing to begin with: the views show no common place", job.capture.display())));
+        }
         let key = key(&capture, &start, &options)?;
         Ok(Self { capture, start, options, key })
     }

@@ -28,7 +28,13 @@ pub struct Evaluation {
 impl Evaluation {
     /// Compares what `render` makes of every photograph's camera with the photograph. Transparent photographs and their
     /// renders are both put on white, opaque ones are rendered over `background`; masked pixels do not count.
-    pub fn new(photos: &[Photo], background: [f32; 3], mut render: impl FnMut(&Camera, [f32; 3]) -> Image) -> Result<Self, Failure> {
+    /// `called` is what the contact sheet calls the photographs.
+    pub fn new(
+        photos: &[Photo],
+        called: &str,
+        background: [f32; 3],
+        mut render: impl FnMut(&Camera, [f32; 3]) -> Image,
+    ) -> Result<Self, Failure> {
         let shown = ContactSheet::chosen(photos.len());
         let mut sheet = ContactSheet::default();
         let mut views = Vec::with_capacity(photos.len());
@@ -41,7 +47,7 @@ impl Evaluation {
             }
             let quality = Quality::of(&image, &truth, mask.as_deref());
             if shown.contains(&k) {
-                sheet.add(&image, &truth, &format!("{:.2} dB", quality.psnr))?;
+                sheet.add(&image, &truth, [&format!("{:.2} dB", quality.psnr), called])?;
             }
             views.push((photo.name.clone(), quality));
         }
@@ -91,7 +97,7 @@ mod tests {
             Image { width: c.width, height: c.height, channels: 3, data: truth.repeat(32 * 24) }
         };
         let nothing = Some(vec![0u8; 32 * 24]);
-        let e = Evaluation::new(&[photo(4, None), photo(3, None), photo(3, nothing)], [0.0; 3], behind).unwrap();
+        let e = Evaluation::new(&[photo(4, None), photo(3, None), photo(3, nothing)], "photograph", [0.0; 3], behind).unwrap();
         assert_eq!(e.views.len(), 2);
         assert!(e.views.iter().all(|v| v.1.psnr > 100.0), "{:?}", e.views);
         assert!(e.sheet.is_some() && e.to_json()["views"][1]["name"] == "3");

@@ -227,7 +227,7 @@ pub(crate) fn finetune_here(job: &FinetuneJob, sink: &dyn Sink) -> Result<Value,
 
     sink.event(Event::Stage { name: "evaluate", steps: 0 });
     let begin = Instant::now();
-    let evaluation = Evaluation::new(&test, WHITE, |c, b| trainer.render(c, b))?;
+    let evaluation = Evaluation::new(&test, "original", WHITE, |c, b| trainer.render(c, b))?;
     let sheet = evaluation.write(&stage.path, sink)?;
     let after = Shape::new(trainer.splats(), trainer.views());
     sink.event(Event::StageDone { name: "evaluate", seconds: begin.elapsed().as_secs_f64() });

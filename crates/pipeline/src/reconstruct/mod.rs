@@ -29,6 +29,7 @@ use places::{Opened, Places};
 use training::{Preview, TrainingFolder, write_splats};
 
 pub use finetune::{FinetuneJob, FinetuneSettings, finetune, plan_finetune};
+pub use log::ASPECT;
 pub use plan::plan_reconstruct;
 pub use settings::{Backdrop, ReconstructJob, ReconstructSettings};
 
@@ -69,13 +70,14 @@ pub(crate) fn reconstruct_here(job: &ReconstructJob, label: &str, sink: &dyn Sin
 
     sink.event(Event::Stage { name: "evaluate", steps: 0 });
     let begin = Instant::now();
-    let evaluation = Evaluation::new(&capture.test, background, |c, b| trainer.render(c, b))?;
+    let evaluation = Evaluation::new(&capture.test, "photograph", background, |c, b| trainer.render(c, b))?;
     let w_max = trainer.largest_weights();
     let region = trainer.options().region.filter(|_| !transparent);
     let (report, hidden) = measure(trainer.splats(), &w_max, region.as_ref(), surface.as_ref());
     let sheet = evaluation.write(&stage.path, sink)?;
     sink.event(Event::StageDone { name: "evaluate", seconds: begin.elapsed().as_secs_f64() });
     let quality = evaluation.mean;
+    // Sums of nothing may be negative zeros.
     let figures = json!({
         "psnr": quality.map(|q| q.psnr),
         "ssim": quality.map(|q| q.ssim),
@@ -85,8 +87,8 @@ pub(crate) fn reconstruct_here(job: &ReconstructJob, label: &str, sink: &dyn Sin
         "seconds": clock.seconds(),
         "core_seconds": clock.core_seconds(),
         "needle_p99": report.needles.plain.p99,
-        "needle_fraction": report.needles.plain.above_1_1_a,
-        "internal_fraction": hidden,
+        "needle_fraction": report.needles.plain.above_1_1_a + 0.0,
+        "internal_fraction": hidden + 0.0,
         "floaters": report.floaters.map(|f| f.opacity[TWO_PERCENT]),
         "area_cv": report.consistency.area.cv,
         "method": trainer.options().method.name(),

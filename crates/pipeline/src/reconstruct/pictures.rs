@@ -24,9 +24,9 @@ pub fn over(photo: &Photo, background: [f32; 3]) -> Image {
     Image { channels: 3, data, ..image }
 }
 
-/// A render beside its photograph.
-pub fn pair(render: &Image, photograph: &Image, caption: &str) -> Result<Image, Failure> {
-    let captions = Captions { left: caption, right: "photograph", time: None };
+/// A render beside its photograph; `captions` are those of the two.
+pub fn pair(render: &Image, photograph: &Image, captions: [&str; 2]) -> Result<Image, Failure> {
+    let captions = Captions { left: captions[0], right: captions[1], time: None };
     side_by_side(render, photograph, &captions).map_err(|e| Failure::Other(e.to_string()))
 }
 
@@ -70,8 +70,8 @@ impl ContactSheet {
     }
 
     /// Adds a render beside its photograph.
-    pub fn add(&mut self, render: &Image, photograph: &Image, caption: &str) -> Result<(), Failure> {
-        self.tiles.push(pair(&reduced(render, TILE), &reduced(photograph, TILE), caption)?);
+    pub fn add(&mut self, render: &Image, photograph: &Image, captions: [&str; 2]) -> Result<(), Failure> {
+        self.tiles.push(pair(&reduced(render, TILE), &reduced(photograph, TILE), captions)?);
         Ok(())
     }
 
@@ -107,7 +107,7 @@ mod tests {
         for (w, h) in [(700, 300), (100, 90), (1, 1), (320, 320), (50, 60)] {
             let mut image = Image::new(w, h, 3);
             image.data.fill(0.25);
-            sheet.add(&image, &image, "").unwrap();
+            sheet.add(&image, &image, ["", ""]).unwrap();
         }
         let image = sheet.image().unwrap();
         assert_eq!((image.width, image.height), (3 * 640 + 8, 2 * 320 + 4));

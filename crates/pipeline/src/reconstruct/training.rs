@@ -146,7 +146,7 @@ impl TrainingFolder<'_> {
         let (image, truth) = compared(photo, preview.background, &mut |c, b| trainer.render(c, b));
         let caption = format!("iteration {step}  {:.2} dB", psnr(&image, &truth, None));
         let path = self.path.join(format!("preview_{step:06}.png"));
-        write_png(&path, &pair(&image, &truth, &caption)?, true).map_err(|e| Failure::Input(e.to_string()))?;
+        write_png(&path, &pair(&image, &truth, [&caption, "photograph"])?, true).map_err(|e| Failure::Input(e.to_string()))?;
         sink.event(Event::File(&path));
         Ok(())
     }
