@@ -273,7 +273,7 @@ impl Trainer {
             wander(&mut model.splats, mcmc, rates.mean, options.seed, step);
         }
         options.clamp(&mut model.splats);
-        let psnr = psnr(&work.frame.rgb, work.target.rgb());
+        let psnr = psnr(&work.frame.rgb, work.target.rgb(), photo.mask.as_deref());
         StepReport { step, l1: photometric.l1, ssim: photometric.ssim, loss, psnr, ..StepReport::default() }
     }
 
@@ -287,7 +287,7 @@ impl Trainer {
                     None => densify(&mut self.model, &self.options, &r, step, self.was_reset),
                 });
             }
-            if r.trim_every > 0 && step <= r.stop && step > r.start && step.is_multiple_of(r.trim_every) {
+            if r.trim_every > 0 && step >= r.trim_start && step <= r.stop && step.is_multiple_of(r.trim_every) {
                 self.trim();
             }
             if self.options.mcmc.is_none() && r.reset_every > 0 && step < r.stop && step.is_multiple_of(r.reset_every) {
@@ -375,12 +375,14 @@ fn lend_and_render(splats: &mut Splats, work: &mut Work, camera: &Camera, settin
     std::mem::swap(&mut g.sh, &mut splats.sh);
 }
 
-/// PSNR of colours clamped to [0, 1].
-fn psnr(rendered: &[[f32; 3]], truth: &[[f32; 3]]) -> f64 {
-    let sum: f64 = rendered
-        .iter()
-        .zip(truth)
-        .map(|(a, b)| (0..3).map(|k| (a[k].clamp(0.0, 1.0) - b[k]).powi(2)).sum::<f32>())
-        .fold(0.0, |s, v| s + f64::from(v));
-    -10.0 * (sum / (3.0 * rendered.len().max(1) as f64)).max(1e-12).log10()
+/// PSNR of colours clamped to [0, 1], over the pixels that count.
+fn psnr(rendered: &[[f32; 3]], truth: &[[f32; 3]], mask: Option<&[u8]>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0u32);
+    for (i, (a, b)) in rendered.iter().zip(truth).enumerate() {
+        if mask.is_none_or(|m| m[i] >= 128) {
+            sum += f64::from((0..3).map(|k| (a[k].clamp(0.0, 1.0) - b[k]).powi(2)).sum::<f32>());
+            count += 1;
+        }
+    }
+    -10.0 * (sum / (3.0 * f64::from(count.max(1)))).max(1e-12).log10()
 }
