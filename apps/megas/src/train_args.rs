@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use megas_pipeline::{Backdrop, Downscale, FinetuneJob, FinetuneSettings, Method, Profile, ReconstructJob, ReconstructSettings, StudyJob};
+use megas_pipeline::{
+    Backdrop, Downscale, FinetuneJob, FinetuneSettings, Method, Profile, ReconstructJob, ReconstructSettings, Region, StudyJob,
+};
 use megas_scene::Select;
 
 /// A parser of exactly these names.
@@ -32,9 +34,12 @@ fn downscale(text: &str) -> Result<Downscale, String> {
     }
 }
 
-fn object_box(text: &str) -> Result<[f32; 6], String> {
+fn object_box(text: &str) -> Result<Region, String> {
     let six: Option<[f32; 6]> = numbers::<6>(text).map(|n| n.map(|v| v as f32));
-    six.filter(|b| b[3..].iter().all(|h| *h > 0.0)).ok_or("expected cx,cy,cz,hx,hy,hz: a centre and positive half extents".into())
+    let region = |[x, y, z, a, b, c]: [f32; 6]| Region { half: [a, b, c], ..Region::aligned([x, y, z], [x, y, z]) };
+    six.filter(|b| b[3..].iter().all(|h| *h > 0.0))
+        .map(region)
+        .ok_or("expected cx,cy,cz,hx,hy,hz: a centre and positive half extents".into())
 }
 
 fn gibibytes(text: &str) -> Result<f64, String> {
@@ -95,7 +100,7 @@ pub struct TrainingArgs {
     pub background: Option<Backdrop>,
     /// Where the object is, in the units of the poses [default: found from alpha, or scene.json beside the photographs].
     #[arg(long, value_name = "cx,cy,cz,hx,hy,hz", value_parser = object_box, allow_hyphen_values = true)]
-    pub object_box: Option<[f32; 6]>,
+    pub object_box: Option<Region>,
     /// Simulator cells along the object's longest side: kernels stay below half a cell.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub cells: Option<u32>,
@@ -378,7 +383,7 @@ mod tests {
         assert_eq!(downscale("auto"), Ok(Downscale::Auto));
         assert_eq!(downscale("4"), Ok(Downscale::Factor(4)));
         assert!(downscale("0").is_err() && downscale("half").is_err());
-        assert_eq!(object_box("-1, 2,3,0.5,1,1"), Ok([-1.0, 2.0, 3.0, 0.5, 1.0, 1.0]));
+        assert!(object_box("-1, 2,3,0.5,1,1").is_ok_and(|r| r.center == [-1.0, 2.0, 3.0] && r.half == [0.5, 1.0, 1.0]));
         assert!(object_box("1,2,3").is_err() && object_box("1,2,3,0,1,1").is_err() && object_box("a,2,3,1,1,1").is_err());
         assert!(gibibytes("0").is_err() && gibibytes("nan").is_err() && gibibytes("1.5") == Ok(1.5));
         assert!(count("0").is_err());

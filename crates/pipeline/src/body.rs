@@ -92,19 +92,18 @@ pub fn scene_objects(scene: &Scene) -> Vec<Object> {
     if scene.objects.is_empty() && scene.input.asset.is_some() { asset_objects() } else { scene.objects_or_default() }
 }
 
-/// Builds the bodies of a scene.
-pub fn build(loaded: &LoadedScene, sink: &dyn Sink) -> Result<(Bodies, Value), Failure> {
+/// Builds the bodies of a scene, whose splats are in `file` unless they are embedded.
+pub fn build(loaded: &LoadedScene, file: Option<&Path>, sink: &dyn Sink) -> Result<(Bodies, Value), Failure> {
     let scene = &loaded.scene;
     let objects = scene_objects(scene);
-    match (&scene.input.splat, &scene.input.asset) {
-        (Some(file), _) => from_file(loaded, &loaded.base_dir.join(file), &objects, sink),
+    match (file, &scene.input.asset) {
+        (Some(file), _) => from_file(scene, file, &objects, sink),
         (None, Some(_)) => from_asset(scene, &objects, sink),
         (None, None) => Err(Failure::Input("the scene has no input: write `splat = \"file.ply\"` or `asset = \"ice-cream\"`".into())),
     }
 }
 
-fn from_file(loaded: &LoadedScene, path: &Path, objects: &[Object], sink: &dyn Sink) -> Result<(Bodies, Value), Failure> {
-    let scene = &loaded.scene;
+fn from_file(scene: &Scene, path: &Path, objects: &[Object], sink: &dyn Sink) -> Result<(Bodies, Value), Failure> {
     let file = load_splats(path).map_err(|e| Failure::Input(e.to_string()))?;
     if file.report.dropped_non_finite > 0 {
         sink.event(Event::Warning(&format!("{}: {} broken rows left out", path.display(), file.report.dropped_non_finite)));

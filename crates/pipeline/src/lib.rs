@@ -1,6 +1,6 @@
 //! Runs a scene end to end: stages with their files, cache, checkpoints, resume, and events for progress.
 //!
-//! Every stage leaves its result on disk (`DIR/body`, `DIR/sim`, `DIR/frames`) together with a key of what it was made from;
+//! Every stage leaves its result on disk (`DIR/reconstruct` or `DIR/finetune` where something is trained, `DIR/body`, `DIR/sim`, `DIR/frames`) together with a key of what it was made from;
 //! the next stage, or a later run, starts from there.
 
 mod body;
@@ -15,6 +15,7 @@ mod reconstruct;
 mod render;
 mod run;
 mod simulate;
+mod source;
 mod stage;
 mod study;
 mod table;
@@ -30,7 +31,8 @@ pub use megas_capture::Downscale;
 pub use megas_reconstruct::{Method, Profile};
 pub use plan::plan;
 pub use reconstruct::{
-    Backdrop, FinetuneJob, FinetuneSettings, ReconstructJob, ReconstructSettings, finetune, plan_finetune, plan_reconstruct, reconstruct,
+    Backdrop, FinetuneJob, FinetuneSettings, ReconstructJob, ReconstructSettings, Region, finetune, plan_finetune, plan_reconstruct,
+    reconstruct,
 };
 pub use run::{fill, render, run, simulate};
 pub use study::{StudyJob, study};

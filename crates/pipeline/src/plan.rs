@@ -5,6 +5,8 @@ use serde_json::{Value, json};
 
 use crate::body::scene_objects;
 use crate::convert::resolve_material;
+use crate::reconstruct::{plan_finetune, plan_reconstruct};
+use crate::source::{Training, training};
 use crate::{Failure, LoadedScene, Options};
 
 /// Point updates per second and core on a desktop processor, for the estimate of time.
@@ -15,6 +17,28 @@ const BYTES_PER_POINT: f64 = 1200.0;
 const FILLED: f64 = 0.25;
 /// Core-seconds per picture and megapixel, both films.
 const CORE_S_PER_MEGAPIXEL: f64 = 0.6;
+
+/// Refuses materials that cannot work; returns substeps per frame and what is worth knowing.
+pub fn check_materials(loaded: &LoadedScene) -> Result<(u64, Vec<String>), Failure> {
+    let scene = &loaded.scene;
+    let (size, _) = scene.size_m();
+    let limits = scene.step_limits(size, size / f64::from(scene.cells()));
+    let mut substeps: u64 = 1;
+    let mut remarks = Vec::new();
+    for o in &scene_objects(scene) {
+        let report = resolve_material(scene, o, size)?.check(&limits);
+        substeps = substeps.max(report.substeps_per_frame);
+        for (severity, text) in report.messages {
+            if severity == Severity::Error {
+                return Err(Failure::Input(text));
+            }
+            if !remarks.contains(&text) {
+                remarks.push(text);
+            }
+        }
+    }
+    Ok((substeps, remarks))
+}
 
 /// Describes a run without doing it. Checks everything that can be checked from the scene and its input file.
 pub fn plan(loaded: &LoadedScene, options: &Options) -> Result<Value, Failure> {
@@ -27,20 +51,21 @@ pub fn plan(loaded: &LoadedScene, options: &Options) -> Result<Value, Failure> {
         let path = loaded.base_dir.join(file);
         splats = Some(megas_formats::load_splats(&path).map_err(|e| Failure::Input(e.to_string()))?.report.count);
     }
-    let limits = scene.step_limits(size, dx);
-    let mut substeps: u64 = 1;
-    let mut remarks = Vec::new();
-    for o in &objects {
-        let report = resolve_material(scene, o, size)?.check(&limits);
-        substeps = substeps.max(report.substeps_per_frame);
-        for (severity, text) in report.messages {
-            if severity == Severity::Error {
-                return Err(Failure::Input(text));
-            }
-            if !remarks.contains(&text) {
-                remarks.push(text);
-            }
+    let (substeps, remarks) = check_materials(loaded)?;
+    let mut stages = vec!["fill", "simulate", "render"];
+    let mut trained = None;
+    match training(loaded, options) {
+        Some(Training::Reconstruct(job)) => {
+            let plan = plan_reconstruct(&job)?;
+            splats = plan["gaussians_estimate"].as_f64().map(|n| n as usize);
+            trained = Some(plan);
+            stages.insert(0, "reconstruct");
         }
+        Some(Training::Finetune(job)) => {
+            trained = Some(plan_finetune(&job)?);
+            stages.insert(0, "finetune");
+        }
+        None => {}
     }
     let cells = f64::from(scene.cells()).powi(3) * FILLED;
     let points = cells * 8.0 + splats.unwrap_or(40_000) as f64;
@@ -51,7 +76,8 @@ pub fn plan(loaded: &LoadedScene, options: &Options) -> Result<Value, Failure> {
     let simulate = points * substeps as f64 * (frames - 1) as f64 / UPDATES_PER_CORE_S / threads;
     let render = frames as f64 * megapixels * CORE_S_PER_MEGAPIXEL / threads;
     Ok(json!({
-        "stages": ["fill", "simulate", "render"],
+        "stages": stages,
+        "training": trained,
         "out": options.out.display().to_string(),
         "input_splats": splats,
         "objects": objects.iter().map(|o| json!({"name": o.name, "material": o.material})).collect::<Vec<_>>(),

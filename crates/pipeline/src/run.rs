@@ -6,18 +6,19 @@ use std::time::Instant;
 use serde_json::{Map, Value, json};
 
 use crate::body::{Bodies, build};
+use crate::source::{Source, source};
 use crate::stage::{Found, KeyBuilder, StageDir};
 use crate::{Event, Failure, LoadedScene, Options, Sink};
 
 /// Brings the bodies up to date and returns their figures.
 pub fn fill(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
-    in_pool(options.threads, || Ok(bodies(scene, options, sink)?.1))
+    in_pool(options.threads, || Ok(bodies(scene, options, sink)?.figures))
 }
 
 /// Brings bodies and simulation up to date and returns the figures of the simulation.
 pub fn simulate(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
     in_pool(options.threads, || {
-        let (bodies, _, key) = bodies(scene, options, sink)?;
+        let Filled { bodies, key, .. } = bodies(scene, options, sink)?;
         Ok(simulation(scene, &bodies, &key, options, sink)?.0)
     })
 }
@@ -25,7 +26,7 @@ pub fn simulate(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Resu
 /// Brings everything up to date and returns the figures of the pictures.
 pub fn render(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
     in_pool(options.threads, || {
-        let (bodies, _, key) = bodies(scene, options, sink)?;
+        let Filled { bodies, key, .. } = bodies(scene, options, sink)?;
         let (_, path, key) = simulation(scene, &bodies, &key, options, sink)?;
         pictures(scene, &bodies, &path, &key, options, sink)
     })
@@ -35,7 +36,7 @@ pub fn render(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result
 pub fn run(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
     let start = Instant::now();
     in_pool(options.threads, || {
-        let (bodies, _, key) = bodies(scene, options, sink)?;
+        let Filled { bodies, key, trained, .. } = bodies(scene, options, sink)?;
         let (simulated, path, key) = simulation(scene, &bodies, &key, options, sink)?;
         let rendered = pictures(scene, &bodies, &path, &key, options, sink)?;
         let mut all = Map::new();
@@ -43,6 +44,9 @@ pub fn run(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Va
             if let Value::Object(m) = part {
                 all.extend(m);
             }
+        }
+        if let Some(trained) = trained {
+            all.insert("training".into(), trained);
         }
         all.insert("seconds".into(), json!(start.elapsed().as_secs_f64()));
         let all = Value::Object(all);
@@ -59,8 +63,18 @@ pub fn in_pool<T: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<T,
     pool.install(work)
 }
 
-fn bodies(loaded: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<(Bodies, Value, String), Failure> {
+/// The bodies with what is known about them.
+struct Filled {
+    bodies: Bodies,
+    figures: Value,
+    key: String,
+    /// Figures of the training before, if there was one.
+    trained: Option<Value>,
+}
+
+fn bodies(loaded: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Filled, Failure> {
     let s = &loaded.scene;
+    let Source { path, figures: trained } = source(loaded, options, sink)?;
     let mut key = KeyBuilder::new("body")
         .settings(&s.input)?
         .settings(&s.objects)?
@@ -68,19 +82,19 @@ fn bodies(loaded: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<(B
         .settings(&s.fill)?
         .settings(&s.air)?
         .settings(&(s.seed, s.cells(), s.sag_ratio(), s.simulation.box_m, s.skin.patch_background))?;
-    if let Some(file) = &s.input.splat {
-        key = key.file(&loaded.base_dir.join(file))?;
+    if let Some(file) = &path {
+        key = key.file(file)?;
     }
     let key = key.finish();
     let (stage, found) = StageDir::open(options, "body", key.clone())?;
     if let Found::Done(figures) = found {
         sink.event(Event::Note("the body is up to date"));
-        return Ok((Bodies::read(&stage.path)?, figures, key));
+        return Ok(Filled { bodies: Bodies::read(&stage.path)?, figures, key, trained });
     }
     sink.event(Event::Stage { name: "fill", steps: 0 });
     let start = Instant::now();
     crate::disk::check_writable(&options.out)?;
-    let (bodies, figures) = build(loaded, sink)?;
+    let (bodies, figures) = build(loaded, path.as_deref(), sink)?;
     // Only now: a scene that does not work out leaves nothing behind.
     let existed = options.out.exists();
     let written = stage.begin().and_then(|()| {
@@ -96,7 +110,7 @@ fn bodies(loaded: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<(B
         return Err(e);
     }
     sink.event(Event::StageDone { name: "fill", seconds: start.elapsed().as_secs_f64() });
-    Ok((bodies, figures, key))
+    Ok(Filled { bodies, figures, key, trained })
 }
 
 fn simulation(

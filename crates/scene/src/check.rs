@@ -309,6 +309,7 @@ impl<'s> Walk<'s, '_> {
         let own = resolved.iter().copied().find(|a| match a.get("type").and_then(Json::as_str) {
             Some("number" | "integer") => node.number().is_some(),
             Some("string") => node.value().is_some_and(Value::is_str),
+            Some("boolean") => node.value().is_some_and(Value::is_bool),
             Some("array") => node.elements().is_some(),
             Some("object") => node.table().is_some(),
             // A word that is not one of the words gets to hear of all forms.
@@ -369,6 +370,7 @@ fn form_name(schema: &Json) -> String {
             None => "a list".into(),
         },
         Some("object") => "a table".into(),
+        Some("boolean") => "true or false".into(),
         _ => match schema.get("pattern").is_some() {
             true => "\"#rrggbb\"".into(),
             false => "text".into(),

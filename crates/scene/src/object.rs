@@ -1,24 +1,9 @@
-//! What goes in: the splat, and which part of it becomes which object (splatting.md §5.11).
+//! Which part of the splats becomes which object (splatting.md §5.11).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::shape::{BoxShape, HalfSpace, Sphere, Tube};
-use crate::value::Up;
-
-/// Where the splats come from: a file, or an embedded asset.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Input {
-    /// Path of a splat file (.ply, .compressed.ply, .splat), relative to the scene file.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub splat: Option<String>,
-    /// Name of an embedded asset, e.g. "ice-cream".
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub asset: Option<String>,
-    /// The direction that points up in the file: "+x", "-x", "+y", "-y", "+z", "-z", or three numbers. Many captured splats are "-y".
-    pub up: Up,
-}
 
 /// A thing that is simulated: some of the splats, its real size, its material.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -62,13 +62,31 @@ pub(crate) fn problems(scene: &Scene) -> Vec<Problem> {
 }
 
 fn input(scene: &Scene, r: &mut Report) {
-    match (&scene.input.splat, &scene.input.asset) {
-        (Some(_), Some(_)) => r.say("input.asset", "input: give either splat (a file) or asset (embedded), not both"),
-        (None, None) => r.say("input", "input: give splat = \"file.ply\" or asset = \"ice-cream\""),
-        (Some(s), None) if s.is_empty() => r.say("input.splat", "input.splat is empty"),
-        _ => {}
+    let i = &scene.input;
+    let sources = [("splat", &i.splat), ("capture", &i.capture), ("asset", &i.asset)];
+    let given: Vec<&str> = sources.iter().filter(|s| s.1.is_some()).map(|s| s.0).collect();
+    match given[..] {
+        [] => r.say("input", "input: give splat = \"file.ply\", capture = \"photographs\" or asset = \"ice-cream\""),
+        [_] => {}
+        [.., last] => {
+            r.inside("input", None, |r| r.say(last, "input: give one of splat (a file), capture (photographs) and asset (embedded)"));
+        }
     }
-    direction(scene.input.up.0, "input.up", r);
+    for (key, value) in sources {
+        if value.as_ref().is_some_and(String::is_empty) {
+            r.inside("input", None, |r| r.say(key, format!("input.{key} is empty")));
+        }
+    }
+    if i.reconstruct.is_some() && i.capture.is_none() {
+        r.say("input.reconstruct", "input.reconstruct says how to train on photographs; it needs capture = \"folder\"");
+    }
+    if i.finetuning().is_some() && i.splat.is_none() {
+        r.say("input.finetune", "input.finetune is for a splat file (splat = \"file.ply\"); other inputs need none");
+    }
+    if let Some(b) = i.reconstruct.as_ref().and_then(|t| t.object_box.as_ref()) {
+        r.inside("input", None, |r| r.inside("reconstruct", None, |r| r.inside("object_box", None, |r| boxed(b, r))));
+    }
+    direction(i.up.0, "input.up", r);
 }
 
 fn direction(d: [f64; 3], key: &str, r: &mut Report) {

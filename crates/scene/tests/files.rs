@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use megas_scene::{
-    Auto, Clock, Film, Frame, HeatKind, Quality, Quantity, Region, Scene, SceneError, Severity, json_schema, material_presets,
+    Auto, Clock, Film, Frame, HeatKind, Method, Profile, Quality, Quantity, Region, Scene, SceneError, Severity, json_schema,
+    material_presets,
 };
 
 const EVERYTHING: &str = r##"
@@ -106,6 +107,35 @@ films = ["rgb", "side_by_side"]
 thermal_range_c = [0, 100]
 ply_every = 10
 "##;
+
+#[test]
+fn photographs_and_fine_tuning_round_trip() {
+    let text = r#"
+[input]
+capture = "photos"
+[input.reconstruct]
+method = "pgsr-prune"
+profile = "real-hq"
+iterations = 900
+downscale = 4
+background = "white"
+object_box = { min = [0, 0, 0], max = [1, 2, 3], rotation_deg = [0, 0, 45] }
+"#;
+    let scene = Scene::parse(text, "s.toml").unwrap();
+    let r = scene.input.reconstruct.as_ref().unwrap();
+    assert_eq!((r.method, r.profile, r.downscale), (Method::PgsrPrune, Profile::RealHq, Some(4)));
+    assert_eq!((r.eval_every, r.memory_gib), (8, 8.0));
+    assert_eq!(Scene::parse(&scene.to_toml(), "again.toml").unwrap(), scene);
+    let tuned = |text: &str| {
+        let scene = Scene::parse(&format!("[input]\nsplat = \"a.ply\"\n{text}"), "s.toml").unwrap();
+        assert_eq!(Scene::parse(&scene.to_toml(), "again.toml").unwrap(), scene);
+        scene.input.finetuning().map(|f| (f.steps, f.size))
+    };
+    assert_eq!(tuned(""), None);
+    assert_eq!(tuned("finetune = false"), None);
+    assert_eq!(tuned("finetune = true"), Some((1_000, 640)));
+    assert_eq!(tuned("[input.finetune]\nsteps = 300"), Some((300, 640)));
+}
 
 #[test]
 fn the_smallest_scene_melts() {

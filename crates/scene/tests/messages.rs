@@ -108,10 +108,34 @@ fn contradictions_are_found() {
 }
 
 #[test]
+fn photographs_and_fine_tuning_say_what_they_need() {
+    let one = |text: &str| {
+        let found: Vec<String> = problems(text).iter().map(ToString::to_string).collect();
+        assert_eq!(found.len(), 1, "{found:?}");
+        found[0].clone()
+    };
+    let two = one("[input]\ncapture = \"photos\"\nsplat = \"a.ply\"");
+    assert_eq!(two, "s.toml:2:1: input: give one of splat (a file), capture (photographs) and asset (embedded)");
+    assert_eq!(one("[input]\ncapture = \"\""), "s.toml:2:1: input.capture is empty");
+    let alone = one("[input]\nsplat = \"a.ply\"\nreconstruct = { profile = \"full\" }");
+    assert_eq!(alone, "s.toml:3:1: input.reconstruct says how to train on photographs; it needs capture = \"folder\"");
+    let tuned = one("[input]\ncapture = \"photos\"\nfinetune = true");
+    assert_eq!(tuned, "s.toml:3:1: input.finetune is for a splat file (splat = \"file.ply\"); other inputs need none");
+    only("[input.finetune]\nstep = 5", "s.toml:3:1: unknown key \"step\" in input.finetune; did you mean \"steps\"?");
+    only("[input.finetune]\nsize = 8", "s.toml:3:1: input.finetune.size = 8: out of range; allowed: 32 to 4096");
+    only("input.finetune = \"yes\"", "s.toml:2:7: input.finetune = \"yes\": expected true or false or a table");
+    let profile = one("[input]\ncapture = \"p\"\n[input.reconstruct]\nprofile = \"objekt\"");
+    assert!(profile.starts_with("s.toml:4:1: input.reconstruct.profile = \"objekt\": allowed: "), "{profile}");
+    assert!(profile.ends_with("did you mean \"object\"?"), "{profile}");
+    let boxed = one("[input]\ncapture = \"p\"\n[input.reconstruct]\nobject_box = { min = [0, 0, 0], max = [1, 0, 1] }");
+    assert_eq!(boxed, "s.toml:4:16: box: min 0 is not below max 0 along y");
+}
+
+#[test]
 fn a_scene_needs_one_input() {
     assert_eq!(problems("title = 'x'")[0].to_string(), "s.toml:1:1: the scene: \"input\" is missing");
     let neither = &problems("[input]\nup = '+y'")[0];
-    assert_eq!(neither.to_string(), "s.toml:1:2: input: give splat = \"file.ply\" or asset = \"ice-cream\"");
+    assert_eq!(neither.to_string(), "s.toml:1:2: input: give splat = \"file.ply\", capture = \"photographs\" or asset = \"ice-cream\"");
     let both = &problems("[input]\nsplat = 'a'\nasset = 'b'")[0];
     assert_eq!((both.line, both.key.as_str()), (3, "input.asset"));
 }

@@ -1,12 +1,8 @@
 //! Wall and processor time of a training, over interruptions.
 
-use std::path::Path;
 use std::time::Instant;
 
-use serde_json::json;
-
-use crate::Failure;
-use crate::disk::{read_json, write_json};
+use serde_json::{Value, json};
 
 /// Processor seconds of all threads of this process; `None` where the system does not tell.
 fn processor_seconds() -> Option<f64> {
@@ -33,9 +29,8 @@ impl Clock {
         Self { wall: Instant::now(), processor: processor_seconds(), before: (0.0, Some(0.0)) }
     }
 
-    /// Goes on from what [`Clock::save`] wrote; from zero if there is nothing to read.
-    pub fn resume(path: &Path) -> Self {
-        let saved = read_json(path).unwrap_or_default();
+    /// Goes on from what [`Clock::to_json`] gave; from zero if that is not it.
+    pub fn resume(saved: &Value) -> Self {
         let before = (saved["seconds"].as_f64().unwrap_or(0.0), saved["core_seconds"].as_f64());
         Self { before, ..Self::start() }
     }
@@ -50,8 +45,8 @@ impl Clock {
         Some(self.before.1? + processor_seconds()? - self.processor?)
     }
 
-    /// Keeps the time for a resumed training.
-    pub fn save(&self, path: &Path) -> Result<(), Failure> {
-        write_json(path, &json!({ "seconds": self.seconds(), "core_seconds": self.core_seconds() }))
+    /// The time, for a resumed training.
+    pub fn to_json(&self) -> Value {
+        json!({ "seconds": self.seconds(), "core_seconds": self.core_seconds() })
     }
 }

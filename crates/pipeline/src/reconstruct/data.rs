@@ -82,12 +82,12 @@ fn key(capture: &Capture, start: &Splats, options: &Options) -> Result<String, F
 
 /// Where the object is: as told, inside its mattes, or as the `scene.json` beside the photographs says.
 fn object_region(folder: &Path, capture: &mut Capture, s: &ReconstructSettings) -> Result<Option<Region>, Failure> {
-    if let Some([cx, cy, cz, hx, hy, hz]) = s.object_box {
-        let (center, half) = ([cx, cy, cz], [hx, hy, hz]);
-        if !center.iter().all(|v| v.is_finite()) || !half.iter().all(|v| *v > 0.0 && v.is_finite()) {
-            return Err(Failure::Input(format!("object box: found {:?}, expected a centre and three positive half extents", s.object_box)));
+    if let Some(r) = s.object_box {
+        if !r.center.iter().all(|v| v.is_finite()) || !r.half.iter().all(|v| *v > 0.0 && v.is_finite()) {
+            let found = format!("centre {:?} and half extents {:?}", r.center, r.half);
+            return Err(Failure::Input(format!("object box: found {found}, expected finite numbers and positive extents")));
         }
-        return Ok(Some(Region { center, half, ..Region::aligned([0.0; 3], [0.0; 3]) }));
+        return Ok(Some(r));
     }
     if capture.train.iter().all(|p| p.channels == 4) {
         return Ok(hull_box(capture, s.seed));

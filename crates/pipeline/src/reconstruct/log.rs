@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use megas_metrics::splats::{Consistency, Needles};
 use megas_model::Splats;
 use megas_reconstruct::StepReport;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::Failure;
@@ -18,8 +19,8 @@ pub const ASPECT: f64 = 2.0;
 const EVERY: u32 = 100;
 
 /// Sums since the last line.
-#[derive(Default)]
-struct Sums {
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Sums {
     steps: u32,
     loss: f64,
     l1: f64,
@@ -38,8 +39,8 @@ pub struct TrainingLog {
 }
 
 impl TrainingLog {
-    /// Continues the log after iteration `done`: what a killed training wrote beyond it is taken back.
-    pub fn open(path: PathBuf, done: u32) -> Result<Self, Failure> {
+    /// Continues the log after iteration `done`, with the sums of that time: what a killed training wrote beyond it is taken back.
+    pub fn open(path: PathBuf, done: u32, sums: Sums) -> Result<Self, Failure> {
         let step_of = |line: &str| serde_json::from_str::<serde_json::Value>(line).ok().and_then(|v| v["step"].as_u64());
         if let Ok(text) = std::fs::read_to_string(&path) {
             let kept: String = text.lines().filter(|l| step_of(l).is_some_and(|s| s <= u64::from(done))).flat_map(|l| [l, "\n"]).collect();
@@ -47,7 +48,12 @@ impl TrainingLog {
                 write_text(&path, &kept)?;
             }
         }
-        Ok(Self { path, sums: Sums::default() })
+        Ok(Self { path, sums })
+    }
+
+    /// What the next line will be made of.
+    pub fn sums(&self) -> &Sums {
+        &self.sums
     }
 
     /// Adds an iteration; every hundredth and the `last` one write a line.
@@ -102,18 +108,27 @@ mod tests {
         let path = dir.path().join("log.jsonl");
         let mut splats = Splats::default();
         splats.push([0.0; 3], [0.0, -1.0, -2.0], [1.0, 0.0, 0.0, 0.0], 0.0, &[0.0; 3]);
-        let run = |from: u32, to: u32| {
-            let mut log = TrainingLog::open(path.clone(), from).unwrap();
+        let run = |from: u32, to: u32, sums: Sums| {
+            let mut log = TrainingLog::open(path.clone(), from, sums).unwrap();
             for step in from + 1..=to {
-                log.add(&StepReport { step, loss: 2.0, gaussians: 1, ..Default::default() }, &splats, step == 350).unwrap();
+                log.add(
+                    &StepReport { step, loss: f64::from((step - 1) / 100 + 1), gaussians: 1, ..Default::default() },
+                    &splats,
+                    step == 350,
+                )
+                .unwrap();
             }
+            log.sums().clone()
         };
-        run(0, 320);
+        let sums = run(0, 210, Sums::default());
+        run(210, 320, sums.clone());
         std::fs::write(&path, std::fs::read_to_string(&path).unwrap() + "{\"step\": 4").unwrap();
-        run(210, 350);
+        run(210, 350, sums);
         let text = std::fs::read_to_string(&path).unwrap();
-        let steps: Vec<u64> =
-            text.lines().map(|l| serde_json::from_str::<serde_json::Value>(l).unwrap()).map(|v| v["step"].as_u64().unwrap()).collect();
+        let lines: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+        let steps: Vec<u64> = lines.iter().filter_map(|v| v["step"].as_u64()).collect();
         assert_eq!(steps, [100, 200, 300, 350]);
+        // Means over all iterations of their hundred, whenever they were done.
+        assert!(lines.iter().all(|v| v["loss"] == v["step"].as_f64().map_or(0.0, |s| (s - 1.0) / 100.0).floor() + 1.0), "{text}");
     }
 }

@@ -28,8 +28,10 @@ use measure::{TWO_PERCENT, measure, true_surface};
 use places::{Opened, Places};
 use training::{Preview, TrainingFolder, write_splats};
 
+pub(crate) use finetune::finetune_here;
 pub use finetune::{FinetuneJob, FinetuneSettings, finetune, plan_finetune};
 pub use log::ASPECT;
+pub use megas_reconstruct::Region;
 pub use plan::plan_reconstruct;
 pub use settings::{Backdrop, ReconstructJob, ReconstructSettings};
 

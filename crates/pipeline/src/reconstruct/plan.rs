@@ -27,47 +27,50 @@ pub fn memory_mib(bytes: f64, pixels: f64, gaussians: f64) -> f64 {
 
 /// Describes a reconstruction without doing it. The photographs are loaded, so bad ones are found.
 pub fn plan_reconstruct(job: &ReconstructJob) -> Result<Value, Failure> {
-    in_pool(job.threads, || {
-        let places = Places::new(&job.output)?;
-        let data = TrainingData::load(job)?;
-        // With `force` a training of other settings would be removed here.
-        if !job.force {
-            places.open(data.key.clone(), false)?;
-        }
-        let photos = || data.capture.train.iter().chain(&data.capture.test);
-        let bytes: usize = photos().map(|p| p.pixels.len() + p.mask.as_ref().map_or(0, Vec::len)).sum();
-        let pixels = photos().map(|p| f64::from(p.camera.width) * f64::from(p.camera.height)).fold(0.0, f64::max);
-        let o = &data.options;
-        let most = o.refinement.map_or(data.start.len(), |r| r.most);
-        let expected = match o.least_cover() {
-            Some(least) if o.method == Method::Ours => 3 * least,
-            _ => 4 * data.start.len(),
-        };
-        let expected = expected.max(data.start.len() / 2).min(most) as f64;
-        let threads = job.threads.unwrap_or_else(rayon::current_num_threads) as f64;
-        let seconds = training_seconds(o.iterations, pixels, expected, threads);
-        let first = &data.capture.train[0].camera;
-        Ok(json!({
-            "stages": ["load", "train", "evaluate"],
-            "output": places.output.display().to_string(),
-            "folder": places.folder.display().to_string(),
-            "capture": data.capture.kind,
-            "method": o.method.name(),
-            "profile": job.settings.profile.name(),
-            "iterations": o.iterations,
-            "views": data.capture.train.len(),
-            "test_views": data.capture.test.len(),
-            "size": [first.width, first.height],
-            "extent": o.extent,
-            "object_box": o.region.map(|r| json!({ "center": r.center, "half_extent": r.half })),
-            "scale_limit": o.scale_limit,
-            "seeds": data.start.len(),
-            "max_gaussians": most,
-            "gaussians_estimate": expected,
-            "threads": threads,
-            "memory_mib_estimate": memory_mib(bytes as f64, pixels, expected),
-            "train_s_estimate": seconds,
-            "remarks": data.capture.notes,
-        }))
-    })
+    in_pool(job.threads, || plan_here(job))
+}
+
+/// As [`plan_reconstruct`] in the current pool of threads.
+fn plan_here(job: &ReconstructJob) -> Result<Value, Failure> {
+    let places = Places::new(&job.output)?;
+    let data = TrainingData::load(job)?;
+    // With `force` a training of other settings would be removed here.
+    if !job.force {
+        places.open(data.key.clone(), false)?;
+    }
+    let photos = || data.capture.train.iter().chain(&data.capture.test);
+    let bytes: usize = photos().map(|p| p.pixels.len() + p.mask.as_ref().map_or(0, Vec::len)).sum();
+    let pixels = photos().map(|p| f64::from(p.camera.width) * f64::from(p.camera.height)).fold(0.0, f64::max);
+    let o = &data.options;
+    let most = o.refinement.map_or(data.start.len(), |r| r.most);
+    let expected = match o.least_cover() {
+        Some(least) if o.method == Method::Ours => 3 * least,
+        _ => 4 * data.start.len(),
+    };
+    let expected = expected.max(data.start.len() / 2).min(most) as f64;
+    let threads = job.threads.unwrap_or_else(rayon::current_num_threads) as f64;
+    let seconds = training_seconds(o.iterations, pixels, expected, threads);
+    let first = &data.capture.train[0].camera;
+    Ok(json!({
+        "stages": ["load", "train", "evaluate"],
+        "output": places.output.display().to_string(),
+        "folder": places.folder.display().to_string(),
+        "capture": data.capture.kind,
+        "method": o.method.name(),
+        "profile": job.settings.profile.name(),
+        "iterations": o.iterations,
+        "views": data.capture.train.len(),
+        "test_views": data.capture.test.len(),
+        "size": [first.width, first.height],
+        "extent": o.extent,
+        "object_box": o.region.map(|r| json!({ "center": r.center, "half_extent": r.half })),
+        "scale_limit": o.scale_limit,
+        "seeds": data.start.len(),
+        "max_gaussians": most,
+        "gaussians_estimate": expected,
+        "threads": threads,
+        "memory_mib_estimate": memory_mib(bytes as f64, pixels, expected),
+        "train_s_estimate": seconds,
+        "remarks": data.capture.notes,
+    }))
 }

@@ -45,8 +45,8 @@ pub struct ReconstructSettings {
     pub max_gaussians: Option<usize>,
     /// Backdrop; random for transparent photographs and black for others if absent.
     pub background: Option<Backdrop>,
-    /// Centre and half extents of the object; found where possible if absent.
-    pub object_box: Option<[f32; 6]>,
+    /// Where the object is; found where possible if absent.
+    pub object_box: Option<Region>,
     /// Simulator cells along the object's longest side: kernels are clamped to half a cell.
     pub cells: Option<u32>,
     /// Sampling strategy instead of thresholds.

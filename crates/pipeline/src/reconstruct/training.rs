@@ -10,12 +10,13 @@ use megas_formats::{WriteOptions, save_splats};
 use megas_metrics::image::psnr;
 use megas_model::Splats;
 use megas_reconstruct::Trainer;
+use serde_json::{Value, json};
 
 use super::clock::Clock;
 use super::evaluate::compared;
 use super::log::TrainingLog;
 use super::pictures::pair;
-use crate::disk::write_atomic;
+use crate::disk::{read_json, write_atomic, write_json};
 use crate::stage::Found;
 use crate::{Event, Failure, Sink};
 
@@ -51,16 +52,20 @@ impl TrainingFolder<'_> {
         self.path.join("checkpoint.bin")
     }
 
-    fn time(&self) -> PathBuf {
-        self.path.join("time.json")
+    /// Time spent and the log's sums that belong to the checkpoint.
+    fn progress(&self) -> PathBuf {
+        self.path.join("progress.json")
     }
 
     /// Trains until all iterations are done; returns the time it took. `found` says whether there may be a checkpoint.
     pub fn train(&self, trainer: &mut Trainer, found: &Found, preview: &Preview<'_>, sink: &dyn Sink) -> Result<Clock, Failure> {
         let resumed = matches!(found, Found::Partial) && self.resume(trainer, sink)?;
-        let clock = if resumed { Clock::resume(&self.time()) } else { Clock::start() };
+        let progress = if resumed { read_json(&self.progress()).unwrap_or_default() } else { Value::Null };
+        let clock = Clock::resume(&progress["time"]);
         let total = trainer.options().iterations;
-        let mut log = TrainingLog::open(self.path.join("log.jsonl"), trainer.step_count())?;
+        // Sums of another iteration are of no use: the training was killed between two writes.
+        let sums = (progress["step"] == trainer.step_count()).then(|| serde_json::from_value(progress["log"].clone()).ok()).flatten();
+        let mut log = TrainingLog::open(self.path.join("log.jsonl"), trainer.step_count(), sums.unwrap_or_default())?;
         sink.event(Event::Stage { name: self.label, steps: u64::from(total) });
         if resumed {
             sink.event(Event::Note(&format!("continuing after iteration {} of {total}", trainer.step_count())));
@@ -71,7 +76,7 @@ impl TrainingFolder<'_> {
         let mut running: Option<[f64; 2]> = None;
         while !trainer.done() {
             if sink.cancelled() {
-                return Err(self.interrupt(trainer, &clock, total, sink));
+                return Err(self.interrupt(trainer, &clock, &log, sink));
             }
             let report = trainer.step();
             if !report.loss.is_finite() {
@@ -88,13 +93,13 @@ impl TrainingFolder<'_> {
             if told.elapsed() >= LIVE_EVERY || trainer.done() {
                 told = Instant::now();
                 sink.event(Event::Live(&[("loss", loss), ("psnr", psnr), ("gaussians", report.gaussians as f64)]));
-                sink.event(Event::Step { done: u64::from(report.step) });
             }
+            sink.event(Event::Step { done: u64::from(report.step) });
             if preview.every > 0 && report.step.is_multiple_of(preview.every) {
                 self.preview(trainer, preview, report.step, sink)?;
             }
             if saved.elapsed() >= CHECKPOINT_EVERY || trainer.done() {
-                self.save(trainer, &clock)?;
+                self.save(trainer, &clock, &log)?;
                 saved = Instant::now();
             }
         }
@@ -116,17 +121,18 @@ impl TrainingFolder<'_> {
         }
     }
 
-    fn save(&self, trainer: &mut Trainer, clock: &Clock) -> Result<(), Failure> {
+    fn save(&self, trainer: &mut Trainer, clock: &Clock, log: &TrainingLog) -> Result<(), Failure> {
         write_atomic(&self.checkpoint(), |w| {
             trainer.save(w)?;
             w.flush()
         })?;
-        clock.save(&self.time())
+        let progress = json!({ "step": trainer.step_count(), "time": clock.to_json(), "log": log.sums() });
+        write_json(&self.progress(), &progress)
     }
 
     /// Leaves a checkpoint and what there is so far.
-    fn interrupt(&self, trainer: &mut Trainer, clock: &Clock, total: u32, sink: &dyn Sink) -> Failure {
-        if let Err(e) = self.save(trainer, clock) {
+    fn interrupt(&self, trainer: &mut Trainer, clock: &Clock, log: &TrainingLog, sink: &dyn Sink) -> Failure {
+        if let Err(e) = self.save(trainer, clock, log) {
             return e;
         }
         if let Err(e) = write_splats(&self.partial, &trainer.export(), true) {
@@ -134,8 +140,9 @@ impl TrainingFolder<'_> {
         }
         sink.event(Event::File(&self.partial));
         Failure::Interrupted(format!(
-            "stopped after iteration {} of {total}; the splats so far are in {}; run the same command again to continue",
+            "stopped after iteration {} of {}; the splats so far are in {}; run the same command again to continue",
             trainer.step_count(),
+            trainer.options().iterations,
             self.partial.display()
         ))
     }
@@ -153,7 +160,7 @@ impl TrainingFolder<'_> {
 
     /// Removes what only an unfinished training needs.
     pub fn tidy(&self) {
-        for path in [&self.checkpoint(), &self.time(), &self.partial] {
+        for path in [&self.checkpoint(), &self.progress(), &self.partial] {
             let _ = std::fs::remove_file(path);
         }
     }

@@ -43,7 +43,8 @@ pub fn checks(asset: &Asset) -> Vec<Check> {
     let c = Checker { asset };
     let floaters = if asset.mean(Ours, Measure::Floaters).is_some() { Measure::Floaters } else { Measure::Hidden };
     let limit = |m: Measure, most: f64| c.limit(m, most);
-    [
+    let mut all: Vec<Check> = Vec::new();
+    let judged = [
         c.compare(Measure::Psnr, Ours, Vanilla, &format!("PSNR: ours loses at most {PSNR_LOSS} dB against vanilla"), |a, b| {
             a >= b - PSNR_LOSS
         }),
@@ -62,10 +63,14 @@ pub fn checks(asset: &Asset) -> Vec<Check> {
         limit(Measure::AreaCv, AREA_LIMIT),
         c.chain(Measure::AreaCv, &[Ours, Vrdoh, Physgaussian]),
         c.chain(Measure::AreaCv, &[Ours, Pgsr, Vanilla]),
-    ]
-    .into_iter()
-    .flatten()
-    .collect()
+    ];
+    for check in judged.into_iter().flatten() {
+        // Chains without their middle may say the same.
+        if all.iter().all(|other| other.claim != check.claim) {
+            all.push(check);
+        }
+    }
+    all
 }
 
 struct Checker<'a> {
