@@ -31,9 +31,17 @@ fn write(folder: &Path, name: &str, text: &str) -> String {
 
 #[test]
 fn help_answers_with_examples() {
-    for arguments in
-        [&["--help"][..], &["help", "run"], &["run", "--help"], &["demo", "--help"], &["inspect", "--help"], &["render", "--help"]]
-    {
+    for arguments in [
+        &["--help"][..],
+        &["help", "run"],
+        &["run", "--help"],
+        &["demo", "--help"],
+        &["inspect", "--help"],
+        &["render", "--help"],
+        &["reconstruct", "--help"],
+        &["finetune", "--help"],
+        &["eval", "reconstruct", "--help"],
+    ] {
         let output = megas(arguments);
         assert_eq!(output.status.code(), Some(0), "{arguments:?}");
         assert!(stdout(&output).contains("Example"), "{arguments:?}");
@@ -130,6 +138,38 @@ fn failures_with_json_end_with_an_error_event() {
         assert!(last["message"].as_str().is_some_and(|m| m.len() > 10), "{last}");
         assert!(lines.iter().all(|l| l["event"] != "result"));
         assert!(!Path::new(out).exists(), "{arguments:?} left {out} behind");
+    }
+}
+
+#[test]
+fn training_commands_refuse_what_they_cannot_use_and_leave_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let output = |name: &str| out.join(name).display().to_string();
+    let here = folder.path().to_str().unwrap();
+    let broken = write(folder.path(), "broken.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 5\n");
+    let scene = write(folder.path(), "scene.toml", "[input]\ncapture = \"nowhere\"\n");
+    let (ply, table) = (output("a.ply"), output("study"));
+    let cases: [(&[&str], &str); 9] = [
+        (&["reconstruct", here, "-o", &ply], "not a capture"),
+        (&["reconstruct", here, "-o", &ply, "--dry-run"], "not a capture"),
+        (&["reconstruct", here, "-o", &output("a.obj")], "a.obj"),
+        (&["reconstruct", here, "-o", &ply, "--method", "our"], "vanilla"),
+        (&["reconstruct", here, "-o", &ply, "--object-box", "1,2,3"], "cx,cy,cz,hx,hy,hz"),
+        (&["finetune", &broken, "-o", &ply], "broken.ply"),
+        (&["eval", "reconstruct", here, "-o", &table], "not a capture"),
+        (&["eval", "reconstruct", here, "-o", &table, "--methods", "best"], "pgsr-prune"),
+        (&["run", &scene, "-o", &table], "not a capture"),
+    ];
+    for (arguments, expected) in cases {
+        let json: Vec<&str> = arguments.iter().copied().chain(["--json"]).collect();
+        let answer = megas(&json);
+        assert_eq!(answer.status.code(), Some(2), "{arguments:?} {}", stdout(&answer));
+        let lines = json_lines(&answer);
+        let last = lines.last().unwrap();
+        assert_eq!(last["event"], "error", "{arguments:?}");
+        assert!(last["message"].as_str().unwrap().contains(expected), "{arguments:?} {last}");
+        assert!(!out.exists(), "{arguments:?} left {} behind", out.display());
     }
 }
 

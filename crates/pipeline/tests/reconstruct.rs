@@ -25,10 +25,21 @@ fn number(v: &Value, key: &str) -> f64 {
 
 #[test]
 fn the_embedded_scene_is_reconstructed_and_an_interruption_changes_no_byte() {
+    reconstructed_and_interrupted(Some(Backdrop::White));
+}
+
+/// As above with the backdrop that is the default for photographs with alpha.
+#[test]
+#[ignore = "edge weights depend on the random backdrop of a view's first planar iteration, which is another after resuming"]
+fn with_a_random_backdrop_an_interruption_changes_no_byte() {
+    reconstructed_and_interrupted(None);
+}
+
+fn reconstructed_and_interrupted(background: Option<Backdrop>) {
     let dir = tempfile::tempdir().unwrap();
     capture(&dir.path().join("photos"), &Sundae::new(), 20, 4, 64);
     let mut whole = job(dir.path(), "whole.ply", 200);
-    whole.settings.background = Some(Backdrop::White);
+    whole.settings.background = background;
     let plan = plan_reconstruct(&whole).unwrap();
     assert_eq!((plan["views"].as_u64(), plan["test_views"].as_u64(), plan["iterations"].as_u64()), (Some(20), Some(4), Some(200)));
     assert!(!dir.path().join("out").exists(), "a dry run leaves nothing");
