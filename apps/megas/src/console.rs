@@ -225,7 +225,7 @@ fn new_bar(name: &str, steps: u64) -> ProgressBar {
     let target = ProgressDrawTarget::stderr_with_hz(8);
     let (bar, template) = match steps {
         0 => (ProgressBar::no_length(), "{prefix:<10} {spinner} {elapsed}"),
-        _ => (ProgressBar::new(steps), "{prefix:<10} [{bar:32}] {pos}/{len}  {elapsed} gone, {left}  {msg}"),
+        _ => (ProgressBar::new(steps), "{prefix:<10} [{bar:32}] {pos}/{len}  {elapsed} gone, {left}  {wide_msg}"),
     };
     bar.set_draw_target(target);
     if let Ok(style) = ProgressStyle::with_template(template) {

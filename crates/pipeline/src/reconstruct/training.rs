@@ -81,7 +81,7 @@ impl TrainingFolder<'_> {
             let report = trainer.step();
             if !report.loss.is_finite() {
                 return Err(Failure::Other(format!(
-                    "the loss is not finite in iteration {}; the state before it is in {}; check the poses, or try fewer Gaussians",
+                    "the loss is not finite in iteration {}; the log in {} shows how it came to this; check the poses, or use another seed",
                     report.step,
                     self.path.display()
                 )));
