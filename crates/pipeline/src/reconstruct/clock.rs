@@ -31,8 +31,10 @@ impl Clock {
 
     /// Goes on from what [`Clock::to_json`] gave; from zero if that is not it.
     pub fn resume(saved: &Value) -> Self {
-        let before = (saved["seconds"].as_f64().unwrap_or(0.0), saved["core_seconds"].as_f64());
-        Self { before, ..Self::start() }
+        match saved["seconds"].as_f64() {
+            Some(seconds) => Self { before: (seconds, saved["core_seconds"].as_f64()), ..Self::start() },
+            None => Self::start(),
+        }
     }
 
     /// Wall time \[s\].
@@ -48,5 +50,21 @@ impl Clock {
     /// The time, for a resumed training.
     pub fn to_json(&self) -> Value {
         json!({ "seconds": self.seconds(), "core_seconds": self.core_seconds() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_goes_on_over_interruptions() {
+        let c = Clock::resume(&json!({ "seconds": 100.0, "core_seconds": 150.0 }));
+        assert!((100.0..110.0).contains(&c.seconds()));
+        assert!(c.core_seconds().is_none_or(|s| (150.0..250.0).contains(&s)));
+        // Not known before, not known now.
+        assert!(Clock::resume(&json!({ "seconds": 100.0, "core_seconds": null })).core_seconds().is_none());
+        let fresh = Clock::resume(&Value::Null);
+        assert!(fresh.seconds() < 10.0 && fresh.core_seconds().is_some() == processor_seconds().is_some());
     }
 }
