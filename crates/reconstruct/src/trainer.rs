@@ -16,6 +16,11 @@ use crate::refine::{Refined, densify, relocate, reset_opacity, wander};
 
 /// Largest share that one pruning may remove before its threshold is halved (splatting.md §5.6).
 const MOST_PRUNED: f64 = 0.6;
+/// Least share of the views that must see a Gaussian in front, least share of its weight there, and the pruning threshold
+/// from which both are asked.
+const FRONT_VIEWS: f64 = 0.08;
+const FRONT_SHARE: f32 = 0.15;
+const FRONT_TAU: f32 = 0.05;
 /// Share of needles above which the controller raises the weight of the anisotropy loss, its factor and its cap (§5.2).
 const NEEDLES: (f64, f32, f32) = (0.02, 1.5, 10.0);
 
@@ -300,7 +305,11 @@ impl Trainer {
         }
         let due: Vec<f32> = self.options.prune.iter().filter(|e| e.step == step).map(|e| e.tau).collect();
         for tau in due {
-            report.internal = Some(self.prune_internal(tau));
+            let (mut gone, tau) = self.prune_internal(tau);
+            if tau >= FRONT_TAU {
+                gone += self.prune_hidden();
+            }
+            report.internal = Some((gone, tau));
         }
     }
 
@@ -351,17 +360,40 @@ impl Trainer {
         (self.model.retain(|i| w_max[i] > tau), tau)
     }
 
-    /// Removes what fewer than two views see in front (splatting.md §5.4).
-    fn trim(&mut self) {
-        let mut seen = vec![0u8; self.model.splats.len()];
+    /// For each Gaussian the number of training views in which it is blended while more than half of the light is left (at
+    /// most 255), and the share of its blend weights that it deposits so.
+    pub fn front(&mut self) -> Vec<(u8, f32)> {
+        let mut sums = vec![(0u8, [0.0f32; 2]); self.model.splats.len()];
         self.statistics(|s| {
-            for (n, v) in seen.iter_mut().zip(&s.votes) {
-                *n = n.saturating_add(u8::from(*v != [0.0; 3]));
+            for (((views, sum), v), w) in sums.iter_mut().zip(&s.votes).zip(&s.w_sum) {
+                *views = views.saturating_add(u8::from(*v != [0.0; 3]));
+                // The rays of one view to one Gaussian are nearly parallel: the length of the vote is the sum of its weights.
+                sum[0] += megas_math::vec3::norm(*v);
+                sum[1] += w;
             }
         });
-        if self.views.len() >= 2 && seen.iter().any(|&n| n >= 2) {
-            self.model.retain(|i| seen[i] >= 2);
+        sums.into_iter().map(|(views, [front, all])| (views, if all > 0.0 { front / all } else { 0.0 })).collect()
+    }
+
+    /// Removes what fewer than two views see in front (splatting.md §5.4).
+    fn trim(&mut self) {
+        let front = self.front();
+        if self.views.len() >= 2 && front.iter().any(|f| f.0 >= 2) {
+            self.model.retain(|i| front[i].0 >= 2);
         }
+    }
+
+    /// Removes what is in front in hardly any view or with hardly any of its weight. A glossy surface leaves floaters that
+    /// show its highlights through thin places: they have large weights in a few pixels, but from nearly everywhere they are
+    /// behind it.
+    fn prune_hidden(&mut self) -> usize {
+        let front = self.front();
+        let least = ((FRONT_VIEWS * self.views.len() as f64).ceil() as u8).max(2);
+        let keep = |f: &(u8, f32)| f.0 >= least && f.1 >= FRONT_SHARE;
+        if self.views.len() < 2 || !front.iter().any(keep) {
+            return 0;
+        }
+        self.model.retain(|i| keep(&front[i]))
     }
 }
 
