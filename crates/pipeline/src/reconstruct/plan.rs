@@ -10,7 +10,9 @@ use crate::Failure;
 use crate::run::in_pool;
 
 /// Core-seconds of an iteration: in any case, per pixel of a view and per Gaussian.
-const CORE_S: [f64; 3] = [0.01, 1.5e-7, 3.0e-7];
+const CORE_S: [f64; 3] = [0.01, 1.5e-7, 5.0e-7];
+/// Gaussians of a scene with its surroundings.
+const SURROUNDINGS: usize = 250_000;
 /// Bytes per Gaussian (parameters, gradients, two moments, lists) and per pixel of a view while it is trained on.
 const BYTES_PER_GAUSSIAN: f64 = 1500.0;
 const BYTES_PER_PIXEL: f64 = 300.0;
@@ -44,8 +46,10 @@ fn plan_here(job: &ReconstructJob) -> Result<Value, Failure> {
     let o = &data.options;
     let most = o.refinement.map_or(data.start.len(), |r| r.most);
     let expected = match o.least_cover() {
-        Some(least) if o.method == Method::Ours => 3 * least,
-        _ => 4 * data.start.len(),
+        Some(least) if o.method == Method::Ours && data.transparent() => 2 * least,
+        _ if data.transparent() => 2 * data.start.len(),
+        // Surroundings take what they get.
+        _ => SURROUNDINGS.max(10 * data.start.len()),
     };
     let expected = expected.max(data.start.len() / 2).min(most) as f64;
     let threads = job.threads.unwrap_or_else(rayon::current_num_threads) as f64;
