@@ -8,6 +8,7 @@ mod checkpoint;
 mod finetune;
 pub mod loss;
 mod model;
+mod neighbour;
 mod options;
 mod refine;
 mod trainer;

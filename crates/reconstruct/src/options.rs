@@ -127,8 +127,8 @@ pub struct Refinement {
     pub stop: u32,
     /// Mean gradient of the projected mean, normalised device coordinates, from which a Gaussian is cloned or split.
     pub gradient: f32,
-    /// Mean of the summed absolute gradients from which a large one is split; infinite switches it off.
-    pub absolute_gradient: f32,
+    /// Mean of the summed absolute gradients from which a large one is split too.
+    pub absolute_gradient: Option<f32>,
     /// Boundary between cloning and splitting, in units of the extent E.
     pub split_size: f32,
     /// The copy is placed at a random point of the Gaussian instead of on it.
@@ -322,7 +322,7 @@ impl Options {
                 every: at(100).max(50),
                 stop: at(15_000),
                 gradient: 2e-4,
-                absolute_gradient: if planar { 8e-4 } else { f32::INFINITY },
+                absolute_gradient: planar.then_some(8e-4),
                 split_size: scale_limit.map_or(split, |s| SPLIT_LIMIT * s / extent),
                 sample_clones: planar,
                 opacity: 0.005,

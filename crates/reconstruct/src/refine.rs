@@ -46,7 +46,7 @@ pub(crate) fn densify(model: &mut Model, options: &Options, refinement: &Refinem
         if gradient >= refinement.gradient {
             if large { splits.push(i) } else { clones.push(i) }
         } else if large
-            && absolute_gradient >= refinement.absolute_gradient
+            && refinement.absolute_gradient.is_some_and(|limit| absolute_gradient >= limit)
             && model.activity.radius[i] > LARGE_RADIUS
             && absolute < MOST_ABSOLUTE
         {

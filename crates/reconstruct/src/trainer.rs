@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::loss::{NormalConsistency, Photometric, PlaneGradient, PlaneImages, Target, alpha, edge_weights, regularise};
 use crate::model::Model;
+use crate::neighbour::{Neighbour, on_black};
 use crate::options::{Background, Options};
 use crate::refine::{Refined, densify, relocate, reset_opacity, wander};
 
@@ -68,6 +69,7 @@ struct Work {
     gradients: Gradients,
     photometric: Photometric,
     normals: NormalConsistency,
+    neighbour: Neighbour,
     target: Target,
     /// Edge weights per view, made when first needed.
     edges: Vec<Option<Vec<f32>>>,
@@ -110,6 +112,7 @@ impl Trainer {
                 gradients: Gradients::default(),
                 photometric: Photometric::new(),
                 normals: NormalConsistency::new(),
+                neighbour: Neighbour::default(),
                 target: Target::default(),
                 edges,
                 visible: Vec::new(),
@@ -216,7 +219,8 @@ impl Trainer {
             None => work.target.set_mask(None),
         }
 
-        let planar = weights.normal > 0.0 && step >= weights.normal_start;
+        let paired = weights.geometric > 0.0 || weights.ncc > 0.0;
+        let planar = (weights.normal > 0.0 || paired) && step >= weights.normal_start;
         let channels = if planar { Channels::Geometry } else { Channels::Rgba };
         let settings = Settings { background, ..Settings::default() };
         lend_and_render(&mut model.splats, work, camera, &settings, channels);
@@ -234,16 +238,26 @@ impl Trainer {
         c.normal.clear();
         c.plane.clear();
         if planar {
-            let target = &work.target;
-            let edges = work.edges[view].get_or_insert_with(|| edge_weights(width, height, target.rgb()));
+            // Not from the target, whose background may be another one in every iteration.
+            let edges = work.edges[view].get_or_insert_with(|| edge_weights(width, height, &on_black(photo)));
             c.normal.resize(pixels, [0.0; 3]);
             c.plane.resize(pixels, 0.0);
             let images = PlaneImages { normal: &work.frame.normal, plane: &work.frame.plane, transmittance: &work.frame.transmittance };
             let gradient = PlaneGradient { normal: &mut c.normal, plane: &mut c.plane };
             loss += f64::from(weights.normal) * work.normals.evaluate(camera, images, edges, weights.normal, gradient);
         }
+        let mut other = None;
+        if planar && paired {
+            std::mem::swap(&mut work.gaussians.sh, &mut model.splats.sh);
+            other = work.neighbour.compare(views, view, &work.gaussians, &work.frame, options, step, c);
+            std::mem::swap(&mut work.gaussians.sh, &mut model.splats.sh);
+        }
         work.rasterizer.backward(&model.splats, camera, &settings, channels, &work.frame, c, &mut work.gradients);
 
+        if let Some((other, value)) = other {
+            loss += value;
+            work.neighbour.add_to(&model.splats, &views[other].camera, &mut work.gradients);
+        }
         let g = &mut work.gradients;
         work.visible.clear();
         work.visible.extend((0..model.splats.len() as u32).filter(|&i| g.radius[i as usize] > 0.0));
