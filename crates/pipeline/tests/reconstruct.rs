@@ -30,7 +30,6 @@ fn the_embedded_scene_is_reconstructed_and_an_interruption_changes_no_byte() {
 
 /// As above with the backdrop that is the default for photographs with alpha.
 #[test]
-#[ignore = "edge weights depend on the random backdrop of a view's first planar iteration, which is another after resuming"]
 fn with_a_random_backdrop_an_interruption_changes_no_byte() {
     reconstructed_and_interrupted(None);
 }

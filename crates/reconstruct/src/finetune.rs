@@ -133,7 +133,8 @@ impl Teacher {
             most: finetune.most,
             ..r
         });
-        o.prune = vec![PruneEvent { step: at(500), tau: 0.05 }, PruneEvent { step: at(800), tau: 0.1 }];
+        // The last one is ours: what has lost its weight since the second would be left hidden in the body.
+        o.prune = [(500, 0.05), (800, 0.1), (950, 0.1)].map(|(step, tau)| PruneEvent { step: at(step), tau }).to_vec();
         o.sh_every = 0;
         o.background = Background::Random;
         o

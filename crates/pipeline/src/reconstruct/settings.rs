@@ -114,8 +114,6 @@ pub fn trainer_options(s: &ReconstructSettings, extent: f32, region: Option<Regi
     o.seed = s.seed;
     if let Some(r) = &mut o.refinement {
         r.most = s.max_gaussians.unwrap_or(r.most);
-        // A checkpoint's header is JSON, which has no infinity; no gradient reaches either.
-        r.absolute_gradient = r.absolute_gradient.min(f32::MAX);
     }
     o.mcmc = s.mcmc.then(Mcmc::default);
     match s.background {
