@@ -259,6 +259,8 @@ pub struct Options {
     pub background: Background,
 }
 
+/// Size in units of the extent E beyond which a Gaussian is no part of any surface.
+pub(crate) const GIANT: f32 = 0.1;
 /// The paper's τ_prune in its three stages.
 const TAU: [f32; 5] = [0.02, 0.02, 0.05, 0.1, 0.1];
 /// τ_scale in diagonals of the object. The design's 0.01 leaves the areas of the kernels too uneven: on the synthetic ice
@@ -374,12 +376,14 @@ impl Options {
         Some((0.5 * area / (limit * limit)) as usize)
     }
 
-    /// Clamps the scales of splats inside the region.
+    /// Clamps the scales of splats inside the region, and everywhere what has grown beyond the size from which refinement
+    /// would have removed it: after its end such a giant before a few cameras hides the scene from all others.
     pub(crate) fn clamp(&self, splats: &mut Splats) {
         let (Some(limit), Some(region)) = (self.scale_limit, self.region) else { return };
-        let limit = limit.ln();
+        let (limit, giant) = (limit.ln(), (GIANT * self.extent).ln());
         for (l, &x) in splats.log_scale.iter_mut().zip(&splats.mean) {
-            if l.iter().any(|&v| v > limit) && region.contains(x, 1.1) {
+            if l.iter().any(|&v| v > limit) {
+                let limit = if region.contains(x, 1.1) { limit } else { giant };
                 *l = l.map(|v| v.min(limit));
             }
         }

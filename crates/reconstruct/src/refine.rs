@@ -5,7 +5,7 @@ use megas_model::{Splats, logit};
 use serde::Serialize;
 
 use crate::model::Model;
-use crate::options::{Mcmc, Options, Refinement};
+use crate::options::{GIANT, Mcmc, Options, Refinement};
 
 /// Splits by the absolute gradient in one refinement.
 const MOST_ABSOLUTE: usize = 50_000;
@@ -82,7 +82,7 @@ pub(crate) fn densify(model: &mut Model, options: &Options, refinement: &Refinem
     let mut gone = vec![false; model.splats.len()];
     splits.iter().for_each(|&i| gone[i] = true);
     model.retain(|i| !gone[i]);
-    let (floor, giant) = (logit(refinement.opacity), (0.1 * options.extent).ln());
+    let (floor, giant) = (logit(refinement.opacity), (GIANT * options.extent).ln());
     let doomed: Vec<bool> = (0..model.splats.len())
         .map(|i| model.splats.opacity_logit[i] < floor || (after_reset && model.splats.log_scale[i].iter().any(|&l| l > giant)))
         .collect();

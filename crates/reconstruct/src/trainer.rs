@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::loss::{NormalConsistency, Photometric, PlaneGradient, PlaneImages, Target, alpha, edge_weights, regularise};
 use crate::model::Model;
 use crate::neighbour::{Neighbour, on_black};
-use crate::options::{Background, Options};
+use crate::options::{Background, GIANT, Options};
 use crate::refine::{Refined, densify, relocate, reset_opacity, wander};
 
 /// Largest share that one pruning may remove before its threshold is halved (splatting.md §5.6).
@@ -397,17 +397,19 @@ impl Trainer {
         }
     }
 
-    /// Removes what is in front in hardly any view or with hardly any of its weight. A glossy surface leaves floaters that
+    /// Removes giants and what is in front in hardly any view or with hardly any of its weight. A glossy surface leaves floaters that
     /// show its highlights through thin places: they have large weights in a few pixels, but from nearly everywhere they are
     /// behind it.
     fn prune_hidden(&mut self) -> usize {
         let front = self.front();
         let least = ((FRONT_VIEWS * self.views.len() as f64).ceil() as u8).max(2);
-        let keep = |f: &(u8, f32)| f.0 >= least && f.1 >= FRONT_SHARE;
-        if self.views.len() < 2 || !front.iter().any(keep) {
+        let giant = (0.99 * GIANT * self.options.extent).ln();
+        let scales = self.model.splats.log_scale.clone();
+        let keep = |i: usize| front[i].0 >= least && front[i].1 >= FRONT_SHARE && scales[i].iter().all(|&l| l < giant);
+        if self.views.len() < 2 || !(0..front.len()).any(keep) {
             return 0;
         }
-        self.model.retain(|i| keep(&front[i]))
+        self.model.retain(keep)
     }
 }
 
