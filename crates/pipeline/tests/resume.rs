@@ -1,34 +1,13 @@
 //! The main job at a toy size: it runs, its books close, and an interruption changes no byte.
 
-use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
+mod common;
 
-use megas_pipeline::{DEMO_SCENE, Event, Failure, LoadedScene, Options, Sink, run};
+use std::path::Path;
+
+use megas_pipeline::{DEMO_SCENE, Failure, LoadedScene, Options, run};
 use megas_scene::Scene;
 
-/// Stops the simulation once `stop_at` of its frames are done.
-struct Impatient {
-    stop_at: u64,
-    done: AtomicU64,
-}
-
-impl Impatient {
-    fn after(stop_at: u64) -> Self {
-        Self { stop_at, done: AtomicU64::new(0) }
-    }
-}
-
-impl Sink for Impatient {
-    fn event(&self, event: Event<'_>) {
-        if let Event::Step { done } = event {
-            self.done.store(done, Ordering::Relaxed);
-        }
-    }
-
-    fn cancelled(&self) -> bool {
-        self.done.load(Ordering::Relaxed) >= self.stop_at
-    }
-}
+use common::Impatient;
 
 fn toy() -> LoadedScene {
     let mut scene = Scene::parse(DEMO_SCENE, "demo.toml").expect("the demo scene is valid");

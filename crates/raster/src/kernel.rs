@@ -12,6 +12,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*, u32x16
 
 use megas_model::{Camera, Projection};
 
+use crate::Settings;
 use crate::bin::Lists;
 use crate::project::{Extra, Record};
 
@@ -105,6 +106,21 @@ pub(crate) struct Scene<'a> {
     pub t_stop: f32,
 }
 
+impl<'a> Scene<'a> {
+    pub fn new(level: Level, records: &'a [Record], extras: &'a [Extra], lists: &'a [Lists], camera: &Camera, settings: &Settings) -> Self {
+        Self {
+            level,
+            records,
+            extras,
+            lists,
+            size: [camera.width as usize, camera.height as usize],
+            log_alpha_min: settings.log_alpha_min(),
+            alpha_max: settings.alpha_max,
+            t_stop: settings.t_stop,
+        }
+    }
+}
+
 /// A block's place: its first pixel, the part of it that belongs to the tile, and the tile.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
@@ -191,7 +207,7 @@ fn start<C: Set, const N: usize>(scene: &Scene, place: Place, planes: &mut [Plan
 
 /// `2^e` with a relative error below 2e-7 for `|e| < 126`; anything outside.
 #[inline(always)]
-pub(crate) fn exp2<S: Simd>(simd: S, e: f32x16<S>) -> f32x16<S> {
+fn exp2<S: Simd>(simd: S, e: f32x16<S>) -> f32x16<S> {
     let v = |x: f32| f32x16::splat(simd, x);
     // Adding 1.5·2²³ leaves the nearest integer in the low bits of the sum.
     let magic = v(12_582_912.0);
@@ -232,14 +248,12 @@ fn composite_simd<S: Simd, C: Set, const N: usize>(
     let zero = v(0.0);
     let bricks = Bricks::new(simd, place);
     let (column, row) = (bricks.column, bricks.row);
-    let (log_alpha_min, alpha_max, t_stop) = (v(scene.log_alpha_min), v(scene.alpha_max), v(scene.t_stop));
+    let limits = Limits::new(simd, scene);
     let half = v(0.5);
 
     let mut live = alive(simd, &planes[0]);
     let mut until_check = 16;
     let mut slot = 0usize;
-    // Records lie in depth order, so a tile's are scattered over memory: fetched one by one between the branches below, the
-    // wait for each would cost as much as all the arithmetic. Copied in batches the misses overlap.
     let mut staged = [Record::default(); STAGE];
     let mut ranks = [0u32; STAGE];
     let mut all = scene.lists.iter().flat_map(
@@ -247,11 +261,7 @@ fn composite_simd<S: Simd, C: Set, const N: usize>(
         |l| l.of(place.tile),
     );
     loop {
-        let mut count = 0;
-        for ((s, r), &rank) in staged.iter_mut().zip(&mut ranks).zip(all.by_ref()) {
-            (*s, *r) = (scene.records[rank as usize], rank);
-            count += 1;
-        }
+        let count = stage(scene, &mut all, &mut staged, &mut ranks);
         if count == 0 {
             return;
         }
@@ -268,18 +278,8 @@ fn composite_simd<S: Simd, C: Set, const N: usize>(
                 while touched != 0 {
                     let b = touched.trailing_zeros() as usize & 15;
                     touched &= touched - 1;
-                    let s1 = inner1 + v(corner1[b]);
-                    let s2 = inner2 + v(corner2[b]);
-                    let e = log_opacity - s1.mul_add(s1, s2 * s2);
-                    let hit = e.simd_ge(log_alpha_min);
-                    let alpha = hit.select(exp2(simd, e).min(alpha_max), zero);
-                    let before = load(&planes[0], b);
-                    let weight = alpha * before;
-                    let after = before - weight;
-                    let open: mask32x16<S> = after.simd_ge(t_stop);
-                    let w = open.select(weight, zero);
-                    let stopped = before.min(-before);
-                    open.select(after, stopped).store_array(&mut planes[0].0[b]);
+                    let (s1, s2) = (inner1 + v(corner1[b]), inner2 + v(corner2[b]));
+                    let Blend { before, w, .. } = limits.blend(simd, log_opacity, s1, s2, &mut planes[0].0[b]);
                     let mut add = |k: usize, value: f32| {
                         w.mul_add(v(value), load(&planes[k], b)).store_array(&mut planes[k].0[b]);
                     };
@@ -341,6 +341,71 @@ fn composite_simd<S: Simd, C: Set, const N: usize>(
                 slot += 1;
             }
         }
+    }
+}
+
+/// Copies the next records of a tile's list and their ranks; returns how many. Records lie in depth order, so a tile's are
+/// scattered over memory: fetched one by one between the branches of the compositing, the wait for each would cost as much as
+/// all the arithmetic. Copied in batches the misses overlap.
+#[inline(always)]
+pub(crate) fn stage<'a>(
+    scene: &Scene,
+    list: &mut impl Iterator<Item = &'a u32>,
+    records: &mut [Record; STAGE],
+    ranks: &mut [u32; STAGE],
+) -> usize {
+    let mut count = 0;
+    for ((s, r), &rank) in records.iter_mut().zip(ranks).zip(list) {
+        (*s, *r) = (scene.records[rank as usize], rank);
+        count += 1;
+    }
+    count
+}
+
+/// The constants of the image formation in every lane.
+pub(crate) struct Limits<S: Simd> {
+    log_alpha_min: f32x16<S>,
+    pub alpha_max: f32x16<S>,
+    t_stop: f32x16<S>,
+}
+
+/// One Gaussian on sixteen pixels.
+pub(crate) struct Blend<S: Simd> {
+    /// `ô e^{−q}` before the cut-offs.
+    pub free: f32x16<S>,
+    /// Zero outside the support.
+    pub alpha: f32x16<S>,
+    /// Transmittance before it; negative where the pixel has stopped.
+    pub before: f32x16<S>,
+    /// Weight `αT`, zero where the pixel has stopped.
+    pub w: f32x16<S>,
+    /// Pixels in which it is blended.
+    pub blended: mask32x16<S>,
+}
+
+impl<S: Simd> Limits<S> {
+    #[inline(always)]
+    pub fn new(simd: S, scene: &Scene) -> Self {
+        let v = |x: f32| f32x16::splat(simd, x);
+        Self { log_alpha_min: v(scene.log_alpha_min), alpha_max: v(scene.alpha_max), t_stop: v(scene.t_stop) }
+    }
+
+    /// Blends a Gaussian at the whitened offsets `s1`, `s2` over pixels and advances their transmittance. The forward and the
+    /// backward pass share it, so both blend the same entries with the same weights.
+    #[inline(always)]
+    pub fn blend(&self, simd: S, log_opacity: f32x16<S>, s1: f32x16<S>, s2: f32x16<S>, transmittance: &mut [f32; 16]) -> Blend<S> {
+        let zero = f32x16::splat(simd, 0.0);
+        let e = log_opacity - s1.mul_add(s1, s2 * s2);
+        let hit = e.simd_ge(self.log_alpha_min);
+        let free = exp2(simd, e);
+        let alpha = hit.select(free.min(self.alpha_max), zero);
+        let before = f32x16::load_array_ref(simd, transmittance);
+        let weight = alpha * before;
+        let after = before - weight;
+        let open: mask32x16<S> = after.simd_ge(self.t_stop);
+        let stopped = before.min(-before);
+        open.select(after, stopped).store_array(transmittance);
+        Blend { free, alpha, before, w: open.select(weight, zero), blended: open & hit }
     }
 }
 

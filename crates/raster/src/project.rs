@@ -103,7 +103,6 @@ impl View {
         let principal = [f64::from(camera.cx), f64::from(camera.cy)];
         let size = [f64::from(camera.width), f64::from(camera.height)];
         let tile = settings.tile.pixels();
-        let alpha_min = settings.alpha_min.max(1e-30);
         Self {
             camera: *camera,
             w,
@@ -118,8 +117,8 @@ impl View {
             low_pass: f64::from(settings.low_pass),
             anti_aliased: settings.anti_aliased,
             z_near: f64::from(settings.z_near),
-            alpha_min,
-            log_alpha_min: alpha_min.log2(),
+            alpha_min: settings.least_alpha(),
+            log_alpha_min: settings.log_alpha_min(),
             clip: settings.clip,
             tile: tile as f32,
             tiles: [(camera.width as usize).div_ceil(tile), (camera.height as usize).div_ceil(tile)],
@@ -127,11 +126,6 @@ impl View {
             thermal: matches!(channels, Channels::RgbaTemperature | Channels::Geometry),
             geometry: channels == Channels::Geometry,
         }
-    }
-
-    /// log₂ of the smallest alpha that counts.
-    pub fn log_alpha_min(&self) -> f32 {
-        self.log_alpha_min
     }
 
     /// Edge of a tile \[px\].

@@ -145,16 +145,7 @@ impl Rasterizer {
     fn composite<C: Set, const N: usize>(&mut self, view: &View, settings: &Settings, frame: &mut Frame) {
         let camera = &view.camera;
         let size = [camera.width as usize, camera.height as usize];
-        let scene = Scene {
-            level: self.level,
-            records: &self.records,
-            extras: &self.extras,
-            lists: &self.lists,
-            size,
-            log_alpha_min: view.log_alpha_min(),
-            alpha_max: settings.alpha_max,
-            t_stop: settings.t_stop,
-        };
+        let scene = Scene::new(self.level, &self.records, &self.extras, &self.lists, camera, settings);
         let tile = settings.tile.pixels();
         let edge = tile.min(BLOCK);
         let across = tile / edge;
@@ -212,15 +203,7 @@ impl Rasterizer {
         let tiles = view.tiles[0] * view.tiles[1];
         let range = self.range();
         let (lists, tallies) = (&self.lists, &self.tallies);
-        // Where each range's part of each tile's tallies starts.
-        self.starts.clear();
-        self.starts.resize(lists.len() * tiles, 0);
-        for c in 1..lists.len() {
-            let (before, here) = self.starts[(c - 1) * tiles..(c + 1) * tiles].split_at_mut(tiles);
-            for tile in 0..tiles {
-                here[tile] = before[tile] + lists[c - 1].of(tile).len() as u32;
-            }
-        }
+        list_starts(lists, tiles, &mut self.starts);
         self.sums.clear();
         self.sums.resize(self.records.len(), Sum::default());
         let jobs = self.sums.par_chunks_mut(range).zip(self.starts.par_chunks(tiles)).enumerate();
@@ -239,6 +222,18 @@ impl Rasterizer {
             statistics.argmax_pixels[i] = s.argmax_pixels;
             statistics.w_sum[i] = s.w_sum as f32;
             statistics.votes[i] = [s.vote[0] as f32, s.vote[1] as f32, s.vote[2] as f32];
+        }
+    }
+}
+
+/// Where the part of each range of the depth order starts in the list of each of `tiles` tiles: `starts[range · tiles + tile]`.
+pub(crate) fn list_starts(lists: &[Lists], tiles: usize, starts: &mut Vec<u32>) {
+    starts.clear();
+    starts.resize(lists.len() * tiles, 0);
+    for c in 1..lists.len() {
+        let (before, here) = starts[(c - 1) * tiles..(c + 1) * tiles].split_at_mut(tiles);
+        for tile in 0..tiles {
+            here[tile] = before[tile] + lists[c - 1].of(tile).len() as u32;
         }
     }
 }

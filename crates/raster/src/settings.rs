@@ -70,6 +70,18 @@ impl TileSize {
     }
 }
 
+impl Settings {
+    /// The smallest alpha that counts, with its lower bound.
+    pub(crate) fn least_alpha(&self) -> f32 {
+        self.alpha_min.max(1e-30)
+    }
+
+    /// log₂ of the smallest alpha that counts.
+    pub(crate) fn log_alpha_min(&self) -> f32 {
+        self.least_alpha().log2()
+    }
+}
+
 impl Default for Settings {
     fn default() -> Self {
         Self {

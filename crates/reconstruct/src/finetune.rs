@@ -9,6 +9,7 @@ use megas_model::{Camera, Splats, fibonacci_directions, logit};
 use megas_raster::{Channels, Gaussians, Rasterizer, Settings};
 use serde::{Deserialize, Serialize};
 
+use crate::loss::regularise::sorted;
 use crate::options::{Background, LearningRates, Method, Options, Profile, PruneEvent, Refinement, Region};
 use crate::trainer::Trainer;
 
@@ -148,12 +149,10 @@ impl Teacher {
         let limit = options.scale_limit.unwrap_or(f32::INFINITY);
         let mut student = split_needles(trainer.splats(), options.weights.anisotropy_limit, limit, most);
         for l in &mut student.log_scale {
-            let mut order = [0, 1, 2];
-            order.sort_by(|&a, &b| l[b].total_cmp(&l[a]));
-            l[order[2]] = l[order[2]].min(l[order[1]] - std::f32::consts::LN_2);
+            let [_, middle, least] = sorted(*l);
+            l[least] = l[least].min(l[middle] - std::f32::consts::LN_2);
         }
-        let views = trainer.views().to_vec();
-        (Trainer::new(views, student, options), self.test)
+        (Trainer::new(trainer.into_views(), student, options), self.test)
     }
 }
 
@@ -164,9 +163,8 @@ pub fn split_needles(splats: &Splats, aspect: f32, size: f32, most: usize) -> Sp
     let mut todo = splats.clone();
     for _ in 0..MOST_SPLITS {
         let long = |l: &[f32; 3]| {
-            let mut s = *l;
-            s.sort_by(f32::total_cmp);
-            s[2] - s[1] > aspect.ln() || s[2] > size.ln()
+            let [first, second, _] = sorted(*l);
+            l[first] - l[second] > aspect.ln() || l[first] > size.ln()
         };
         let (mut split, mut keep) = (Vec::new(), Vec::new());
         (0..todo.len()).for_each(|i| if long(&todo.log_scale[i]) { split.push(i) } else { keep.push(i) });
@@ -180,7 +178,7 @@ pub fn split_needles(splats: &Splats, aspect: f32, size: f32, most: usize) -> Sp
         let mut next = todo.select(&twice);
         for k in 0..next.len() {
             let l = next.log_scale[k];
-            let axis = (0..3).fold(0, |a, b| if l[b] > l[a] { b } else { a });
+            let axis = sorted(l)[0];
             let along = mat3::column(next.axes(k), axis);
             let side = if k % 2 == 0 { 1.0 } else { -1.0 };
             next.mean[k] = vec3::add_scaled(next.mean[k], along, side * offset * l[axis].exp());

@@ -141,6 +141,11 @@ impl Trainer {
         &self.views
     }
 
+    /// Gives the training views back.
+    pub(crate) fn into_views(self) -> Vec<Photo> {
+        self.views
+    }
+
     /// The splats as they are.
     pub fn splats(&self) -> &Splats {
         &self.model.splats
@@ -223,7 +228,8 @@ impl Trainer {
         let planar = (weights.normal > 0.0 || paired) && step >= weights.normal_start;
         let channels = if planar { Channels::Geometry } else { Channels::Rgba };
         let settings = Settings { background, ..Settings::default() };
-        lend_and_render(&mut model.splats, work, camera, &settings, channels);
+        work.gaussians.assign_shapes(&model.splats);
+        lend(&mut model.splats, &mut work.gaussians, |g| work.rasterizer.render(g, camera, &settings, channels, &mut work.frame));
 
         let c = &mut work.cotangents;
         c.rgb.resize(pixels, [0.0; 3]);
@@ -248,9 +254,7 @@ impl Trainer {
         }
         let mut other = None;
         if planar && paired {
-            std::mem::swap(&mut work.gaussians.sh, &mut model.splats.sh);
-            other = work.neighbour.compare(views, view, &work.gaussians, &work.frame, options, step, c);
-            std::mem::swap(&mut work.gaussians.sh, &mut model.splats.sh);
+            other = lend(&mut model.splats, &mut work.gaussians, |g| work.neighbour.compare(views, view, g, &work.frame, options, step, c));
         }
         work.rasterizer.backward(&model.splats, camera, &settings, channels, &work.frame, c, &mut work.gradients);
 
@@ -334,9 +338,8 @@ impl Trainer {
         }
         let limit = (1.1 * self.options.weights.anisotropy_limit).ln();
         let needles = self.model.splats.log_scale.iter().filter(|l| {
-            let mut s = **l;
-            s.sort_by(f32::total_cmp);
-            s[2] - s[1] > limit
+            let [first, second, _] = regularise::sorted(**l);
+            l[first] - l[second] > limit
         });
         if needles.count() as f64 > NEEDLES.0 * self.model.splats.len() as f64 {
             self.anisotropy = (self.anisotropy * NEEDLES.1).min(NEEDLES.2.max(self.options.weights.anisotropy));
@@ -391,36 +394,40 @@ impl Trainer {
 
     /// Removes what fewer than two views see in front (splatting.md §5.4).
     fn trim(&mut self) {
-        let front = self.front();
-        if self.views.len() >= 2 && front.iter().any(|f| f.0 >= 2) {
-            self.model.retain(|i| front[i].0 >= 2);
-        }
+        self.retain_in_front(2, 0.0, f32::INFINITY);
     }
 
     /// Removes giants and what is in front in hardly any view or with hardly any of its weight. A glossy surface leaves floaters that
     /// show its highlights through thin places: they have large weights in a few pixels, but from nearly everywhere they are
     /// behind it.
     fn prune_hidden(&mut self) -> usize {
-        let front = self.front();
         let least = ((FRONT_VIEWS * self.views.len() as f64).ceil() as u8).max(2);
-        let giant = (0.99 * GIANT * self.options.extent).ln();
-        let scales = self.model.splats.log_scale.clone();
-        let keep = |i: usize| front[i].0 >= least && front[i].1 >= FRONT_SHARE && scales[i].iter().all(|&l| l < giant);
-        if self.views.len() < 2 || !(0..front.len()).any(keep) {
+        self.retain_in_front(least, FRONT_SHARE, (0.99 * GIANT * self.options.extent).ln())
+    }
+
+    /// Keeps what at least `least` views see in front, with at least `share` of its weight, and what is smaller than the
+    /// log-scale `giant`; everything where nothing would be left. Returns how many went.
+    fn retain_in_front(&mut self, least: u8, share: f32, giant: f32) -> usize {
+        let keep: Vec<bool> = self
+            .front()
+            .iter()
+            .zip(&self.model.splats.log_scale)
+            .map(|(&(views, front), l)| views >= least && front >= share && l.iter().all(|&l| l < giant))
+            .collect();
+        if self.views.len() < 2 || !keep.contains(&true) {
             return 0;
         }
-        self.model.retain(keep)
+        self.model.retain(|i| keep[i])
     }
 }
 
-/// Renders the splats, whose coefficients the rasterizer's input borrows meanwhile.
-fn lend_and_render(splats: &mut Splats, work: &mut Work, camera: &Camera, settings: &Settings, channels: Channels) {
-    let g = &mut work.gaussians;
-    g.assign_shapes(splats);
-    g.sh_degree = splats.sh_degree;
-    std::mem::swap(&mut g.sh, &mut splats.sh);
-    work.rasterizer.render(g, camera, settings, channels, &mut work.frame);
-    std::mem::swap(&mut g.sh, &mut splats.sh);
+/// Lends the colours of `splats`, most of their bytes, to `gaussians` while `f` draws them.
+fn lend<R>(splats: &mut Splats, gaussians: &mut Gaussians, f: impl FnOnce(&Gaussians) -> R) -> R {
+    gaussians.sh_degree = splats.sh_degree;
+    std::mem::swap(&mut gaussians.sh, &mut splats.sh);
+    let result = f(gaussians);
+    std::mem::swap(&mut gaussians.sh, &mut splats.sh);
+    result
 }
 
 /// PSNR of colours clamped to [0, 1], over the pixels that count.

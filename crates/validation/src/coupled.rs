@@ -12,7 +12,7 @@ use megas_sim::solver::{Solver, SolverConfig};
 use megas_sim::source::{Film, HeatSource, Motion, Region, Schedule, SourceKind};
 use megas_sim::thermal::ThermalOptions;
 
-use crate::{Case, Row, Tier};
+use crate::{Case, Outcome, Row, Tier};
 
 /// The cases of this file.
 pub const CASES: &[Case] = &[
@@ -89,7 +89,7 @@ fn config(grid: Grid, material: Material, sources: Vec<HeatSource>) -> SolverCon
 
 /// V40: heating by power until all is liquid, cooling by a film until all is solid: the heat balance closes, the enthalpy
 /// rises by c ΔT and L as it should, and no point changes phase more than once on the way up and once on the way down.
-fn melt_and_refreeze() -> Vec<Row> {
+fn melt_and_refreeze() -> Outcome {
     let material = Material { conductivity_solid: 200.0, conductivity_liquid: 200.0, ..wax() };
     let (grid, points, _) = cube(16, 290.0);
     let mass: f64 = points.volume.iter().map(|&v| f64::from(v) * material.density).sum();
@@ -105,12 +105,12 @@ fn melt_and_refreeze() -> Vec<Row> {
         HeatSource { region: Region::Surface(None), ..source(SourceKind::Film(film), [up, up + down]) },
     ];
     let setup = SolverConfig { mechanics: false, frame_dt: 0.1, coupling_step: 0.01, ..config(grid, material.clone(), sources) };
-    let Ok(mut solver) = Solver::new(setup, &points) else { return vec![Row::new("the solver starts", 1.0, 0.0, 0.0)] };
+    let Ok(mut solver) = Solver::new(setup, &points) else { return vec![Row::new("the solver starts", 1.0, 0.0, 0.0)].into() };
     let mut phase = vec![0u8; points.len()];
     let mut switches = vec![0u32; points.len()];
     let (mut liquid, mut heat) = (Vec::new(), 0.0);
     while solver.time() < up + down - 1e-9 {
-        let Ok(Some(report)) = solver.advance_frame(&|| false) else { return vec![Row::new("the frame completes", 1.0, 0.0, 0.0)] };
+        let Ok(Some(report)) = solver.advance_frame(&|| false) else { return vec![Row::new("the frame completes", 1.0, 0.0, 0.0)].into() };
         heat += report.audit.map_or(0.0, |a| a.source);
         liquid.push(report.liquid_fraction);
         for (i, &p) in solver.export().phase.iter().enumerate() {
@@ -128,10 +128,11 @@ fn melt_and_refreeze() -> Vec<Row> {
         Row::new("phase switches of a point", 2.0, f64::from(most), 0.0),
         Row::new("relative residual of the energy audit", 0.0, solver.totals().energy_residual(), 1e-4),
     ]
+    .into()
 }
 
 /// V45: a melting, slumping cube, 200 coupling steps with 1, 2 and 4 threads, and once more through a checkpoint.
-fn determinism() -> Vec<Row> {
+fn determinism() -> Outcome {
     let (grid, points, floor) = cube(8, 299.0);
     let lamp = HeatSource {
         name: String::new(),
@@ -168,10 +169,11 @@ fn determinism() -> Vec<Row> {
         Row::new("four threads differ from one", 0.0, differs(run(4, None)), 0.0),
         Row::new("a restart at frame 9 differs", 0.0, differs(run(2, Some(9))), 0.0),
     ]
+    .into()
 }
 
 /// Random strains melt and freeze: energy may only fall, volume and rotation stay.
-fn switch_energetics() -> Vec<Row> {
+fn switch_energetics() -> Outcome {
     let (mu_s, mu_l, bulk) = (4e4, 1e4, 8e4);
     let mut rng = Rng::new(39);
     let energy = |f: Mat3<f64>, mu: f64| {
@@ -213,6 +215,7 @@ fn switch_energetics() -> Vec<Row> {
         Row::new("largest change of the rotation", 0.0, rotation, 1e-6),
         Row::new("F_after B − F_before", 0.0, rebase, 1e-6),
     ]
+    .into()
 }
 
 #[cfg(test)]

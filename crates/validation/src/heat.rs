@@ -11,7 +11,7 @@ use megas_sim::grid::Grid;
 use megas_sim::source::{HeatSource, Motion, Region, Schedule, SourceKind};
 use megas_sim::thermal::{AirModel, Audit, ThermalOptions, ThermalSolver, Transfer};
 
-use crate::{Case, Row, Tier};
+use crate::{Case, Outcome, Row, Tier};
 use cloud::{Cloud, simple};
 
 /// The cases of this file.
@@ -28,7 +28,7 @@ pub const CASES: &[Case] = &[
 ];
 
 /// Σ m h on the way to the nodes, through conduction and a source, and back.
-fn conservation() -> Vec<Row> {
+fn conservation() -> Outcome {
     let grid = Grid { origin: [0.0; 3], spacing: 0.01, nodes: [32; 3] };
     let mut rng = Rng::new(1);
     let materials = [
@@ -73,7 +73,7 @@ fn conservation() -> Vec<Row> {
         }
         rows.push(Row::new(format!("{label}, relative"), 0.0, worst, 1e-12));
     }
-    rows
+    rows.into()
 }
 
 /// A periodic bar of 128 × 4 × 4 nodes full of jittered points, 2 per cell and axis, with temperature `t(x)`.
@@ -102,7 +102,7 @@ fn bar_solver(transfer: Transfer, k: f64) -> ThermalSolver {
 }
 
 /// Decay of a cosine under round trips alone: α_num Δt/Δx².
-fn numerical_diffusion() -> Vec<Row> {
+fn numerical_diffusion() -> Outcome {
     let k = TAU / 32.0;
     let measure = |transfer, trips: u32| {
         let mut cloud = bar(|x| (k * x).cos(), |x| -k * (k * x).sin());
@@ -119,10 +119,11 @@ fn numerical_diffusion() -> Vec<Row> {
         Row::new("affine overwrite, α Δt/Δx²", 1.05e-3, measure(Transfer::AffineOverwrite, 2000), 0.25e-3),
         Row::new("increments c_sub=0, α Δt/Δx²", 0.0, measure(Transfer::Increments { relaxation: 0.0 }, 200), 1e-7),
     ]
+    .into()
 }
 
 /// A Gaussian of heat in material that crosses 185 cells while it diffuses.
-fn moving_blob() -> Vec<Row> {
+fn moving_blob() -> Outcome {
     let (sigma, alpha, steps, shift, centre) = (6.0f64, 1e-3, 5000, 0.037, 64.0);
     let profile = |x: f64, t: f64| {
         let variance = sigma * sigma + 2.0 * alpha * t;
@@ -152,6 +153,7 @@ fn moving_blob() -> Vec<Row> {
         Row::new("relative L2 error", 0.0, (error / size).sqrt(), 2e-3),
         Row::new("energy drift, relative", 0.0, (total.after - total.before) / total.before, 1e-11),
     ]
+    .into()
 }
 
 #[cfg(test)]

@@ -37,6 +37,45 @@ impl Row {
     }
 }
 
+/// What a case gives: the compared numbers, and curves that show a person why.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct Outcome {
+    /// The compared numbers.
+    pub rows: Vec<Row>,
+    /// Profiles and histories against their references.
+    pub plots: Vec<Plot>,
+}
+
+impl From<Vec<Row>> for Outcome {
+    fn from(rows: Vec<Row>) -> Self {
+        Self { rows, plots: Vec::new() }
+    }
+}
+
+/// A figure of one case.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Plot {
+    /// What it shows.
+    pub title: String,
+    /// Quantity and unit of the horizontal axis.
+    pub x: String,
+    /// Quantity and unit of the vertical axis.
+    pub y: String,
+    /// Drawn in order, references first.
+    pub curves: Vec<Curve>,
+}
+
+/// One curve of a [`Plot`].
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Curve {
+    /// Name in the legend.
+    pub label: String,
+    /// True for the analytic or published values, which are drawn as a line; ours are drawn as points.
+    pub reference: bool,
+    /// Abscissa and ordinate.
+    pub points: Vec<[f64; 2]>,
+}
+
 /// How long a case takes on two cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub enum Tier {
@@ -58,7 +97,7 @@ pub struct Case {
     /// Cost.
     pub tier: Tier,
     /// Runs it.
-    pub run: fn() -> Vec<Row>,
+    pub run: fn() -> Outcome,
 }
 
 /// Every case, by id.
@@ -73,7 +112,7 @@ pub fn assert_case(id: &str) {
     let mut found = false;
     for case in cases().iter().filter(|c| c.id == id) {
         found = true;
-        for row in (case.run)() {
+        for row in (case.run)().rows {
             assert!(
                 row.passed(),
                 "{id} {}: {} is {:e}, expected {:e} ± {:e}",

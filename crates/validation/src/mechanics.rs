@@ -7,7 +7,7 @@ use megas_sim::mechanics::{Mechanics, Settings, Wall, material_point};
 use megas_sim::particles::{HENCKY, Particles};
 use megas_sim::reference::{self, Law};
 
-use crate::{Case, Row, Tier};
+use crate::{Case, Outcome, Row, Tier};
 
 /// Cases of this file.
 pub const CASES: &[Case] = &[
@@ -57,7 +57,7 @@ fn center(p: &Particles) -> [f64; 3] {
     vec3::scale(sum, 1.0 / p.len() as f64)
 }
 
-fn free_fall() -> Vec<Row> {
+fn free_fall() -> Outcome {
     let grid = Grid { origin: [0.0; 3], spacing: 0.01, nodes: [20, 20, 32] };
     let (shear, bulk) = moduli(1e5, 0.3);
     let mut p = block(&grid, [0.06, 0.06, 0.15], [0.14, 0.14, 0.23], 1000.0, shear, bulk);
@@ -85,6 +85,7 @@ fn free_fall() -> Vec<Row> {
         Row::new("largest stress / E", 0.0, strain, 1e-5),
         Row::new("repairs", 0.0, report.repairs.capped as f64 + report.repairs.degenerate as f64, 0.0),
     ]
+    .into()
 }
 
 /// Ratio of the measured to the exact period of the first axial mode, and the amplitude left after five periods.
@@ -132,17 +133,17 @@ fn bar(cells: usize) -> (f64, f64) {
     (period / exact, peak / first.abs())
 }
 
-fn axial_bar() -> Vec<Row> {
+fn axial_bar() -> Outcome {
     let mut rows = Vec::new();
     for (cells, ratio, tolerance) in [(16, 1.0039, 5e-3), (32, 1.0010, 2e-3), (64, 1.0002, 1e-3)] {
         let (period, amplitude) = bar(cells);
         rows.push(Row::new(format!("L = {cells} Δx: period / (2L/c)"), ratio, period, tolerance));
         rows.push(Row::new(format!("L = {cells} Δx: amplitude after 5 periods"), 1.0, amplitude, 0.01));
     }
-    rows
+    rows.into()
 }
 
-fn shear_flow() -> Vec<Row> {
+fn shear_flow() -> Outcome {
     let mut rows = Vec::new();
     let cases = [(1e4, 100.0, 20.0, 1.0, 10.0, 157.735), (1e4, 100.0, 20.0, 0.5, 10.0, 95.341), (1e4, 0.0, 2.0, 1.0, 50.0, 50.0)];
     for (shear, yield_stress, viscosity, exponent, rate, reference) in cases {
@@ -189,7 +190,7 @@ fn shear_flow() -> Vec<Row> {
         let f: Mat3<f64> = mat3::add(mat3::cast(h), mat3::identity());
         rows.push(Row::new("f32: det F after 3000 yielding steps", 1.0, mat3::det(f), 2e-5));
     }
-    rows
+    rows.into()
 }
 
 /// Length and height of the deposit of a half block 0.1 m × 0.1 m with yield stress `tau_0`, after `seconds`.
@@ -231,12 +232,12 @@ fn slump_rows(dx: f64, length_ratio: f64, height_ratio: f64) -> Vec<Row> {
     ]
 }
 
-fn plane_slump() -> Vec<Row> {
-    slump_rows(0.01, 0.928, 1.108)
+fn plane_slump() -> Outcome {
+    slump_rows(0.01, 0.928, 1.108).into()
 }
 
-fn plane_slump_fine() -> Vec<Row> {
-    slump_rows(0.005, 1.019, 0.973)
+fn plane_slump_fine() -> Outcome {
+    slump_rows(0.005, 1.019, 0.973).into()
 }
 
 /// Acceleration of an elastic block along the slope over `seconds`, its way, and the node spacing. The columns of `frame` point
@@ -271,7 +272,7 @@ fn slide(shape: Shape, friction: f64, gravity: [f64; 3], frame: Mat3<f64>, secon
     ((speed(&p) - v0) / seconds, along(&p) - x0, dx)
 }
 
-fn friction() -> Vec<Row> {
+fn friction() -> Outcome {
     let theta = 30f64.to_radians();
     let (sin, cos) = theta.sin_cos();
     let level = mat3::identity::<f64>();
@@ -293,10 +294,10 @@ fn friction() -> Vec<Row> {
     ];
     let (_, moved, dx) = slide(plane, 0.7, pull, level, 0.5);
     rows.push(Row::new("plane, μ 0.7: way in 0.5 s / Δx", 0.0, moved / dx, 0.1));
-    rows
+    rows.into()
 }
 
-fn determinism() -> Vec<Row> {
+fn determinism() -> Outcome {
     let run = |threads: usize| -> Option<u64> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()?;
         Some(pool.install(|| {
@@ -320,7 +321,11 @@ fn determinism() -> Vec<Row> {
         }))
     };
     let one = run(1).map_or(f64::NAN, |h| h as f64);
-    [2, 4].into_iter().map(|n| Row::new(format!("state hash with {n} threads"), one, run(n).map_or(f64::NAN, |h| h as f64), 0.0)).collect()
+    [2, 4]
+        .into_iter()
+        .map(|n| Row::new(format!("state hash with {n} threads"), one, run(n).map_or(f64::NAN, |h| h as f64), 0.0))
+        .collect::<Vec<_>>()
+        .into()
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use megas_sim::mechanics::{Mechanics, Settings};
 use megas_sim::particles::Particles;
 use megas_sim::reference::{self, Point};
 
-use crate::{Case, Row, Tier};
+use crate::{Case, Outcome, Row, Tier};
 
 /// Cases of this file.
 pub const CASES: &[Case] = &[
@@ -69,7 +69,7 @@ fn still() -> Settings {
     Settings { gravity: [0.0; 3], isolation: 0.0, ..Settings::default() }
 }
 
-fn conservation() -> Vec<Row> {
+fn conservation() -> Outcome {
     let mut p =
         cloud(|r, _| (std::array::from_fn(|_| r.range(-1.0, 2.0)), std::array::from_fn(|_| std::array::from_fn(|_| r.range(-10.0, 10.0)))));
     let mut oracle = points(&p);
@@ -102,10 +102,10 @@ fn conservation() -> Vec<Row> {
     };
     let mut rows = compare("f64", 1e-12, node_mass, node_momentum, totals(&oracle));
     rows.extend(compare("f32", 2e-6, fast_mass, fast_momentum, totals(&points(&p))));
-    rows
+    rows.into()
 }
 
-fn linear_fields() -> Vec<Row> {
+fn linear_fields() -> Outcome {
     let a = [0.3, -1.0, 0.7];
     let m: Mat3<f64> = [[1.0, -2.0, 0.5], [0.3, 1.5, -1.0], [2.0, 0.1, -0.7]];
     let field = |x: [f64; 3]| vec3::add(a, mat3::mul_vec(m, x));
@@ -162,7 +162,7 @@ fn linear_fields() -> Vec<Row> {
     rows.push(Row::new("f32: velocity after G2P", 0.0, worst_v / fastest, 2e-6));
     // C is a difference of node velocities over Δx, so its rounding is that of a velocity over Δx.
     rows.push(Row::new("f32: Δx · affine matrix after G2P, relative to speed", 0.0, worst_c / fastest, 2e-6));
-    rows
+    rows.into()
 }
 
 #[cfg(test)]

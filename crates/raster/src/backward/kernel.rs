@@ -1,15 +1,15 @@
 //! Backward compositing of one block of 16 × 16 pixels (splatting.md §4.1).
 //!
-//! The entries of the tile are replayed front to back with the very arithmetic of the forward pass, so the same pixels blend
+//! The entries of the tile are replayed front to back by the forward pass's own function, so the same pixels blend
 //! the same entries with the same weights. What is behind an entry follows from what is still missing of the pixel's total,
 //! without dividing by a small transmittance.
 //!
 //! Moments of the exponent's gradient are taken in the whitened coordinates `s = L(x − m)` of [`Record`]: with
 //! `h = ô e^{−q} ∂L/∂α`, `∂L/∂m = 2 ln2 Lᵀ Σ h s` and `∂L/∂Σ' = 2 ln²2 Lᵀ (Σ h s sᵀ) L`, and no inverse is needed.
 
-use fearless_simd::{Simd, dispatch, f32x16, mask32x16, prelude::*};
+use fearless_simd::{Simd, dispatch, f32x16, prelude::*};
 
-use crate::kernel::{Bricks, Place, Plane, STAGE, Scene, alive, exp2};
+use crate::kernel::{Blend, Bricks, Limits, Place, Plane, STAGE, Scene, alive, stage};
 use crate::project::Record;
 
 /// Transmittance, what is missing of the total, then the cotangents: colour (3), alpha.
@@ -72,7 +72,7 @@ fn backward_simd<S: Simd, const N: usize>(simd: S, scene: &Scene, place: Place, 
     let one = v(1.0);
     let bricks = Bricks::new(simd, place);
     let (column, row) = (bricks.column, bricks.row);
-    let (log_alpha_min, alpha_max, t_stop) = (v(scene.log_alpha_min), v(scene.alpha_max), v(scene.t_stop));
+    let limits = Limits::new(simd, scene);
 
     let mut live = alive(simd, &planes[0]);
     let mut until_check = 16;
@@ -84,11 +84,7 @@ fn backward_simd<S: Simd, const N: usize>(simd: S, scene: &Scene, place: Place, 
         |l| l.of(place.tile),
     );
     loop {
-        let mut count = 0;
-        for ((s, r), &rank) in staged.iter_mut().zip(&mut ranks).zip(all.by_ref()) {
-            (*s, *r) = (scene.records[rank as usize], rank);
-            count += 1;
-        }
+        let count = stage(scene, &mut all, &mut staged, &mut ranks);
         if count == 0 {
             return;
         }
@@ -113,19 +109,8 @@ fn backward_simd<S: Simd, const N: usize>(simd: S, scene: &Scene, place: Place, 
                     let b = touched.trailing_zeros() as usize & 15;
                     touched &= touched - 1;
                     let load = |p: &Plane| f32x16::load_array_ref(simd, &p.0[b]);
-                    let s1 = inner1 + v(corner1[b]);
-                    let s2 = inner2 + v(corner2[b]);
-                    let e = log_opacity - s1.mul_add(s1, s2 * s2);
-                    let hit = e.simd_ge(log_alpha_min);
-                    let free = exp2(simd, e);
-                    let alpha = hit.select(free.min(alpha_max), zero);
-                    let before = load(&planes[0]);
-                    let weight = alpha * before;
-                    let after = before - weight;
-                    let open: mask32x16<S> = after.simd_ge(t_stop);
-                    let w = open.select(weight, zero);
-                    let stopped = before.min(-before);
-                    open.select(after, stopped).store_array(&mut planes[0].0[b]);
+                    let (s1, s2) = (inner1 + v(corner1[b]), inner2 + v(corner2[b]));
+                    let Blend { free, alpha, before, w, blended } = limits.blend(simd, log_opacity, s1, s2, &mut planes[0].0[b]);
 
                     let (gr, gg, gb) = (load(&planes[2]), load(&planes[3]), load(&planes[4]));
                     let mut c = gr.mul_add(v(r.rgb[0]), gg.mul_add(v(r.rgb[1]), gb.mul_add(v(r.rgb[2]), load(&planes[5]))));
@@ -142,9 +127,9 @@ fn backward_simd<S: Simd, const N: usize>(simd: S, scene: &Scene, place: Place, 
                     let rest = load(&planes[1]) - w * c;
                     rest.store_array(&mut planes[1].0[b]);
                     // Where the largest alpha holds, the Gaussian's own parameters have no influence.
-                    let free_alpha = free.simd_le(alpha_max);
+                    let free_alpha = free.simd_le(limits.alpha_max);
                     let slope = before * c - rest / (one - alpha);
-                    let h = (open & hit & free_alpha).select(alpha * slope, zero);
+                    let h = (blended & free_alpha).select(alpha * slope, zero);
                     let (h1, h2) = (h * s1, h * s2);
                     sums[3] += h;
                     sums[4] += h1;

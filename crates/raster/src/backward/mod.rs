@@ -16,7 +16,7 @@ use self::chain::{ChainView, Parameters, Received, chain};
 use self::kernel::{COLOUR_PLANES, GEOMETRY_PLANES, Partial};
 use crate::kernel::{BLOCK, Place, Plane, Scene, pixel_of};
 use crate::project::CHUNK;
-use crate::rasterizer::Rasterizer;
+use crate::rasterizer::{Rasterizer, list_starts};
 use crate::{Channels, Frame, Settings};
 
 /// Gradients of a loss with respect to the raw accumulated channels of a [`Frame`], one value per pixel. Empty arrays stand
@@ -146,16 +146,7 @@ impl Rasterizer {
 
     /// Replays all tiles.
     fn replay<const N: usize>(&self, camera: &Camera, settings: &Settings, frame: &Frame, g: &Cotangents, scratch: &mut Scratch) {
-        let scene = Scene {
-            level: self.level,
-            records: &self.records,
-            extras: &self.extras,
-            lists: &self.lists,
-            size: [camera.width as usize, camera.height as usize],
-            log_alpha_min: settings.alpha_min.max(1e-30).log2(),
-            alpha_max: settings.alpha_max,
-            t_stop: settings.t_stop,
-        };
+        let scene = Scene::new(self.level, &self.records, &self.extras, &self.lists, camera, settings);
         let tile = settings.tile.pixels();
         let edge = tile.min(BLOCK);
         let [columns, rows] = [scene.size[0].div_ceil(tile), scene.size[1].div_ceil(tile)];
@@ -184,14 +175,7 @@ impl Rasterizer {
         let range = self.range();
         let lists = &self.lists;
         let Scratch { partials, starts, sums, .. } = scratch;
-        starts.clear();
-        starts.resize(lists.len() * tiles, 0);
-        for c in 1..lists.len() {
-            let (before, here) = starts[(c - 1) * tiles..(c + 1) * tiles].split_at_mut(tiles);
-            for t in 0..tiles {
-                here[t] = before[t] + lists[c - 1].of(t).len() as u32;
-            }
-        }
+        list_starts(lists, tiles, starts);
         sums.clear();
         sums.resize(self.records.len(), Partial::default());
         let jobs = sums.par_chunks_mut(range).zip(starts.par_chunks(tiles)).enumerate();

@@ -27,7 +27,7 @@ fn sum_over<T: Send>(indices: &[u32], gradient: &mut [T], f: &(impl Fn(usize, &m
 
 /// Positions of the largest, the middle and the smallest of three; of equals the first counts as larger.
 #[inline(always)]
-fn sorted<T: Real>(v: Vec3<T>) -> [usize; 3] {
+pub(crate) fn sorted<T: Real>(v: Vec3<T>) -> [usize; 3] {
     let mut order = [0, 1, 2];
     for (a, b) in [(0, 1), (1, 2), (0, 1)] {
         if v[order[a]] < v[order[b]] {

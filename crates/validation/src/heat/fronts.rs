@@ -5,7 +5,7 @@ use megas_sim::material::Material;
 use megas_sim::thermal::{Audit, NodeFields, ThermalOptions, ThermalSolver, Wall};
 
 use super::cloud::{Cloud, simple};
-use crate::Row;
+use crate::{Outcome, Row};
 
 /// λ of `λ e^{λ²} erf λ = St/√π` (simulation.md V11).
 fn stefan_lambda(st: f64) -> f64 {
@@ -63,17 +63,18 @@ impl Rod {
 }
 
 /// `T = erfc(x/40)` after 4000 steps at K̃ = 0.1.
-pub fn half_space() -> Vec<Row> {
+pub fn half_space() -> Outcome {
     let mut rod = Rod::new(128, &simple(1.0, 1.0, 0.1));
     alone(|| (0..4000).for_each(|_| rod.step()));
     let t = |x: usize| 0.5 * (rod.energy[x] + rod.energy[x + 1]);
     [(10, 0.72367), (20, 0.47950), (30, 0.28884), (40, 0.15730), (60, 0.03389)]
         .map(|(x, reference)| Row::new(format!("T at {x} cells"), reference, t(x), 1e-3))
         .to_vec()
+        .into()
 }
 
 /// Front `Σ f_l = 2λ√(K̃t)` on nodes, at 0.7 N.
-pub fn stefan_nodes() -> Vec<Row> {
+pub fn stefan_nodes() -> Outcome {
     let (cells, k) = (64, 0.05);
     let mut rows = Vec::new();
     for st in [0.05, 0.1, 0.5, 1.0, 2.0] {
@@ -85,11 +86,11 @@ pub fn stefan_nodes() -> Vec<Row> {
         rows.push(Row::relative(format!("front at St = {st}, N = {cells} [cells]"), 2.0 * lambda * (k * steps).sqrt(), front, 0.002));
         rows.push(Row::new(format!("audit at St = {st}, relative"), 0.0, rod.total.residual / rod.total.after, 1e-10));
     }
-    rows
+    rows.into()
 }
 
 /// The front with points, 3 per cell and axis.
-pub fn stefan_points() -> Vec<Row> {
+pub fn stefan_points() -> Outcome {
     alone(|| {
         let mut rows = Vec::new();
         for (cells, st) in [(20, 0.1), (20, 0.5), (20, 2.0), (40, 0.5), (40, 2.0)] {
@@ -97,6 +98,7 @@ pub fn stefan_points() -> Vec<Row> {
         }
         rows
     })
+    .into()
 }
 
 /// Front position from which the error counts \[cells\].

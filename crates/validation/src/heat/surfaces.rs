@@ -7,7 +7,7 @@ use megas_sim::source::Film;
 use megas_sim::thermal::{AirModel, ThermalOptions, ThermalSolver};
 
 use super::cloud::{Cloud, simple};
-use crate::Row;
+use crate::{Outcome, Row};
 
 /// Jittered points, 2 per cell and axis, inside a shape of `volume` cells that `inside` describes around the centre of the
 /// grid, turned by `turn`. Unit spacing.
@@ -40,7 +40,7 @@ fn film_solver(grid: Grid, coefficient: f64, material: &megas_sim::material::Mat
 }
 
 /// A plate of 16 cells between two films at Fo = 0.5 (simulation.md §4.7, V15).
-pub fn slab() -> Vec<Row> {
+pub fn slab() -> Outcome {
     let alpha = 0.1;
     let mut rows = Vec::new();
     for (biot, centre, mean, tolerance) in [(1.0, 0.7725, 0.6811, 0.03), (10.0, 0.4546, 0.3150, 0.08)] {
@@ -69,11 +69,11 @@ pub fn slab() -> Vec<Row> {
             }
         }
     }
-    rows
+    rows.into()
 }
 
 /// An aluminium ball: `T ∝ e^{−t/405 s}`.
-pub fn lumped_cooling() -> Vec<Row> {
+pub fn lumped_cooling() -> Outcome {
     let cells = 6.0f64;
     let grid = Grid { origin: [0.0; 3], spacing: 0.01 / cells, nodes: [20; 3] };
     let volume = 4.0 / 3.0 * std::f64::consts::PI * cells.powi(3);
@@ -95,10 +95,11 @@ pub fn lumped_cooling() -> Vec<Row> {
         Row::relative("heat taken by the film [J]", (reference - 1.0) * 2700.0 * 900.0 * 60.0 * 4.18879e-6, heat, 0.02),
         Row::new("audit per step, relative", 0.0, residual, 1e-11),
     ]
+    .into()
 }
 
 /// Σ a Δx² of balls and of a box.
-pub fn area_measure() -> Vec<Row> {
+pub fn area_measure() -> Outcome {
     let material = simple(1.0, 1.0, 1e-3);
     let area = |grid: Grid, mut cloud: Cloud| {
         let mut solver = film_solver(grid, 1.0, &material);
@@ -124,5 +125,5 @@ pub fn area_measure() -> Vec<Row> {
         let oblique = area(grid, shape(&grid, cells.powi(3), turned, 1.0, 0.0, cube));
         rows.push(Row::relative(format!("box of {cells} cells turned, over straight"), 1.0, oblique / straight, 0.02));
     }
-    rows
+    rows.into()
 }
