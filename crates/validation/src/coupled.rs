@@ -16,9 +16,9 @@ use crate::{Case, Outcome, Row, Tier};
 
 /// The cases of this file.
 pub const CASES: &[Case] = &[
-    Case { id: "V39", name: "elastic energy at phase switches", tier: Tier::A, run: switch_energetics },
-    Case { id: "V40", name: "a cube melts and freezes again", tier: Tier::B, run: melt_and_refreeze },
-    Case { id: "V45", name: "threads and restarts change no bit", tier: Tier::B, run: determinism },
+    Case::new("V39", "elastic energy at phase switches", Tier::A, switch_energetics),
+    Case::new("V40", "a cube melts and freezes again", Tier::B, melt_and_refreeze),
+    Case::new("V45", "threads and restarts change no bit", Tier::B, determinism),
 ];
 
 /// A material that melts at 300 K over one kelvin.

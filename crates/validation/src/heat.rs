@@ -16,15 +16,15 @@ use cloud::{Cloud, simple};
 
 /// The cases of this file.
 pub const CASES: &[Case] = &[
-    Case { id: "V01", name: "conservation of the thermal transfers", tier: Tier::A, run: conservation },
-    Case { id: "V03", name: "numerical diffusion of the thermal transfers", tier: Tier::B, run: numerical_diffusion },
-    Case { id: "V04", name: "blob of heat carried by moving material", tier: Tier::B, run: moving_blob },
-    Case { id: "V06", name: "half space with a wall at fixed temperature", tier: Tier::A, run: fronts::half_space },
-    Case { id: "V11", name: "one-phase Stefan problem on nodes", tier: Tier::B, run: fronts::stefan_nodes },
-    Case { id: "V12", name: "one-phase Stefan problem with points", tier: Tier::B, run: fronts::stefan_points },
-    Case { id: "V15", name: "slab of points cooled by a film", tier: Tier::B, run: surfaces::slab },
-    Case { id: "V16", name: "lumped cooling of a ball by a film", tier: Tier::A, run: surfaces::lumped_cooling },
-    Case { id: "V17", name: "surface area without a mesh", tier: Tier::A, run: surfaces::area_measure },
+    Case::new("V01", "conservation of the thermal transfers", Tier::A, conservation),
+    Case::new("V03", "numerical diffusion of the thermal transfers", Tier::B, numerical_diffusion),
+    Case::new("V04", "blob of heat carried by moving material", Tier::B, moving_blob),
+    Case::new("V06", "half space with a wall at fixed temperature", Tier::A, fronts::half_space),
+    Case::new("V11", "one-phase Stefan problem on nodes", Tier::B, fronts::stefan_nodes),
+    Case::new("V12", "one-phase Stefan problem with points", Tier::B, fronts::stefan_points),
+    Case::new("V15", "slab of points cooled by a film", Tier::B, surfaces::slab),
+    Case::new("V16", "lumped cooling of a ball by a film", Tier::A, surfaces::lumped_cooling),
+    Case::new("V17", "surface area without a mesh", Tier::A, surfaces::area_measure),
 ];
 
 /// Σ m h on the way to the nodes, through conduction and a source, and back.

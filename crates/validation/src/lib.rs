@@ -1,80 +1,14 @@
 //! The physics suite: every case compares the simulator with an analytic or published reference (simulation.md §8).
 //!
-//! `cargo run --release -p megas-validation` prints the table; `cargo test -p megas-validation` asserts it.
+//! `megas validate` runs it and writes a page of it; `cargo test -p megas-validation` asserts it.
 
 pub mod coupled;
 pub mod heat;
 pub mod mechanics;
+pub mod outcome;
 pub mod transfers;
 
-/// One compared number.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct Row {
-    /// What is compared, with its unit.
-    pub quantity: String,
-    /// Analytic or published value.
-    pub reference: f64,
-    /// What the simulator gives.
-    pub ours: f64,
-    /// Largest accepted |ours − reference|.
-    pub tolerance: f64,
-}
-
-impl Row {
-    /// A row with an absolute tolerance.
-    pub fn new(quantity: impl Into<String>, reference: f64, ours: f64, tolerance: f64) -> Self {
-        Self { quantity: quantity.into(), reference, ours, tolerance }
-    }
-
-    /// A row whose tolerance is a fraction of the reference.
-    pub fn relative(quantity: impl Into<String>, reference: f64, ours: f64, fraction: f64) -> Self {
-        Self::new(quantity, reference, ours, reference.abs() * fraction)
-    }
-
-    /// True when inside the tolerance; false for anything that is not a number.
-    pub fn passed(&self) -> bool {
-        (self.ours - self.reference).abs() <= self.tolerance
-    }
-}
-
-/// What a case gives: the compared numbers, and curves that show a person why.
-#[derive(Clone, Debug, Default, serde::Serialize)]
-pub struct Outcome {
-    /// The compared numbers.
-    pub rows: Vec<Row>,
-    /// Profiles and histories against their references.
-    pub plots: Vec<Plot>,
-}
-
-impl From<Vec<Row>> for Outcome {
-    fn from(rows: Vec<Row>) -> Self {
-        Self { rows, plots: Vec::new() }
-    }
-}
-
-/// A figure of one case.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct Plot {
-    /// What it shows.
-    pub title: String,
-    /// Quantity and unit of the horizontal axis.
-    pub x: String,
-    /// Quantity and unit of the vertical axis.
-    pub y: String,
-    /// Drawn in order, references first.
-    pub curves: Vec<Curve>,
-}
-
-/// One curve of a [`Plot`].
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct Curve {
-    /// Name in the legend.
-    pub label: String,
-    /// True for the analytic or published values, which are drawn as a line; ours are drawn as points.
-    pub reference: bool,
-    /// Abscissa and ordinate.
-    pub points: Vec<[f64; 2]>,
-}
+pub use outcome::{Curve, Outcome, Plot, Row};
 
 /// How long a case takes on two cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
@@ -87,17 +21,58 @@ pub enum Tier {
     C,
 }
 
-/// One validation case.
+/// One validation case. Its texts may hold `x_{i}` and `x^{i}` for subscripts and superscripts.
+///
+/// ```ignore
+/// Case::new("V06", "half space behind a wall of fixed temperature", Tier::A, half_space)
+///     .proves("position of the wall, diffusivity")
+///     .setup("128 cells, T_{w} = 1 from t = 0 on, K = 0.1, 4000 steps")
+///     .formula("T = erfc(x / √(4αt))")
+/// ```
 #[derive(Clone, Copy)]
 pub struct Case {
     /// `V01` …
     pub id: &'static str,
-    /// What it proves, in a few words.
+    /// What is simulated, in a few words.
     pub name: &'static str,
     /// Cost.
     pub tier: Tier,
     /// Runs it.
     pub run: fn() -> Outcome,
+    /// What a pass shows about the simulator.
+    pub proves: &'static str,
+    /// Geometry, grid, parameters.
+    pub setup: &'static str,
+    /// The reference: a formula, or where the published value comes from.
+    pub formula: &'static str,
+}
+
+impl Case {
+    /// A case; add its texts for the page with the methods below.
+    pub const fn new(id: &'static str, name: &'static str, tier: Tier, run: fn() -> Outcome) -> Self {
+        Self { id, name, tier, run, proves: "", setup: "", formula: "" }
+    }
+
+    /// Says what a pass shows about the simulator.
+    #[must_use]
+    pub const fn proves(mut self, text: &'static str) -> Self {
+        self.proves = text;
+        self
+    }
+
+    /// Describes geometry, grid and parameters.
+    #[must_use]
+    pub const fn setup(mut self, text: &'static str) -> Self {
+        self.setup = text;
+        self
+    }
+
+    /// Gives the reference.
+    #[must_use]
+    pub const fn formula(mut self, text: &'static str) -> Self {
+        self.formula = text;
+        self
+    }
 }
 
 /// Every case, by id.

@@ -11,13 +11,13 @@ use crate::{Case, Outcome, Row, Tier};
 
 /// Cases of this file.
 pub const CASES: &[Case] = &[
-    Case { id: "V26", name: "free fall", tier: Tier::A, run: free_fall },
-    Case { id: "V29", name: "period of an axial bar", tier: Tier::A, run: axial_bar },
-    Case { id: "V32", name: "Herschel–Bulkley flow of one point", tier: Tier::A, run: shear_flow },
-    Case { id: "V34", name: "plane slump of a yield-stress fluid", tier: Tier::B, run: plane_slump },
-    Case { id: "V34-fine", name: "plane slump at half the spacing", tier: Tier::C, run: plane_slump_fine },
-    Case { id: "V37", name: "Coulomb friction on an incline", tier: Tier::A, run: friction },
-    Case { id: "V45", name: "same bits for any number of threads", tier: Tier::A, run: determinism },
+    Case::new("V26", "free fall", Tier::A, free_fall),
+    Case::new("V29", "period of an axial bar", Tier::A, axial_bar),
+    Case::new("V32", "Herschel–Bulkley flow of one point", Tier::A, shear_flow),
+    Case::new("V34", "plane slump of a yield-stress fluid", Tier::B, plane_slump),
+    Case::new("V34-fine", "plane slump at half the spacing", Tier::C, plane_slump_fine),
+    Case::new("V37", "Coulomb friction on an incline", Tier::A, friction),
+    Case::new("V45", "same bits for any number of threads", Tier::A, determinism),
 ];
 
 const GRAVITY: f64 = 9.81;

@@ -12,8 +12,8 @@ use crate::{Case, Outcome, Row, Tier};
 
 /// Cases of this file.
 pub const CASES: &[Case] = &[
-    Case { id: "V01", name: "conservation of mass, momentum and angular momentum", tier: Tier::A, run: conservation },
-    Case { id: "V02", name: "linear velocity fields survive P2G and G2P", tier: Tier::A, run: linear_fields },
+    Case::new("V01", "conservation of mass, momentum and angular momentum", Tier::A, conservation),
+    Case::new("V02", "linear velocity fields survive P2G and G2P", Tier::A, linear_fields),
 ];
 
 const GRID: Grid = Grid { origin: [0.0; 3], spacing: 0.05, nodes: [32; 3] };
