@@ -7,6 +7,9 @@ mod atomic;
 mod compressed_ply;
 mod error;
 mod gather;
+mod mesh_file;
+mod mesh_glb;
+mod mesh_obj;
 mod mesh_ply;
 mod ply;
 mod source;
@@ -16,5 +19,8 @@ mod splat_ply;
 
 pub use atomic::{AtomicFile, write_atomic};
 pub use error::{Defect, FormatError, Place, Result};
+pub use mesh_file::{MeshFormat, load_mesh, save_mesh};
+pub use mesh_glb::write_mesh_glb;
+pub use mesh_obj::{read_mesh_obj, write_mesh_obj};
 pub use mesh_ply::{read_mesh_ply, write_mesh_ply};
 pub use splat_file::{LoadReport, RenderMode, SplatFile, SplatFormat, WriteOptions, load_splats, save_splats};
