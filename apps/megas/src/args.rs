@@ -97,6 +97,11 @@ pub enum Command {
     /// Print the JSON Schema of scene files, for editors with completion.
     #[command(after_help = "Example:\n  megas schema > scene.schema.json")]
     Schema,
+    /// Compare the simulator with analytic solutions and published benchmarks.
+    #[command(after_help = "Examples:\n  megas validate\n  megas validate --case V12 --case V34\n  megas validate --full -o suite\n\n\
+                            DIR/validation.html shows every case with its figures, DIR/validation.json holds the same for machines.\n\
+                            Exit code 1 if a number is outside its tolerance.")]
+    Validate(ValidateArgs),
     /// List the material presets.
     #[command(after_help = "Examples:\n  megas materials\n  megas materials --json")]
     Materials,
@@ -109,6 +114,26 @@ pub enum Study {
     #[command(after_help = "Examples:\n  megas eval reconstruct ice/ cow/ --methods vanilla,ours --seeds 3 -o study\n  \
                             megas eval reconstruct ice/ --methods all --profile tiny --downscale 4 -o study")]
     Reconstruct(Box<StudyArgs>),
+}
+
+/// Arguments of `validate`.
+#[derive(Args, Clone, Debug)]
+pub struct ValidateArgs {
+    /// Only this case, for example V12 (repeatable).
+    #[arg(long = "case", value_name = "ID")]
+    pub cases: Vec<String>,
+    /// Also the cases that take longer than a minute; some take many.
+    #[arg(long)]
+    pub full: bool,
+    /// Folder for validation.html and validation.json.
+    #[arg(short, long = "output", value_name = "DIR", default_value = "megas-out/validation")]
+    pub out: PathBuf,
+    /// Also write the tables as Markdown, for docs/validation.md.
+    #[arg(long, value_name = "FILE")]
+    pub markdown: Option<PathBuf>,
+    /// Only list the cases.
+    #[arg(long)]
+    pub list: bool,
 }
 
 /// Arguments of the commands that work on a scene.
@@ -156,6 +181,7 @@ impl Command {
             Self::Simulate(_) => "simulate",
             Self::Render(_) => "render",
             Self::Schema => "schema",
+            Self::Validate(_) => "validate",
             Self::Materials => "materials",
         }
     }

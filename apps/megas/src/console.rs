@@ -110,6 +110,25 @@ impl Console {
         });
     }
 
+    /// A part of the answer that is ready before the rest, on standard output.
+    pub fn answer(&self, text: &str) {
+        if matches!(self.mode, Mode::Bars | Mode::Lines) {
+            self.with_stage(|s| match &s.bar {
+                Some(bar) => bar.suspend(|| print(text)),
+                None => print(text),
+            });
+        }
+    }
+
+    /// What is being done, beside the bar.
+    pub fn doing(&self, text: &str) {
+        self.with_stage(|s| {
+            if let Some(bar) = &s.bar {
+                bar.set_message(text.to_owned());
+            }
+        });
+    }
+
     fn begin(&self, name: &str, steps: u64) {
         let bar = matches!(self.mode, Mode::Bars).then(|| new_bar(name, steps));
         self.with_stage(|s| {

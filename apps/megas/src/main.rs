@@ -5,6 +5,7 @@ mod console;
 mod materials;
 mod summary;
 mod train_args;
+mod validate;
 
 use std::process::ExitCode;
 
@@ -24,8 +25,9 @@ fn main() -> ExitCode {
     let json = cli.global.json;
     match execute(&cli) {
         Ok(answer) => {
+            let code = answer.code();
             answer.print(cli.command.name(), &cli.global);
-            ExitCode::SUCCESS
+            code
         }
         Err(failure) => {
             print_error(&failure.to_string(), json);
@@ -57,12 +59,20 @@ enum Answer {
     Figures(Value),
     /// A document to print as it is, with the object that stands for it among JSON lines.
     Document { text: String, object: Value },
+    /// Figures of a comparison, and whether it came out well.
+    Verdict { figures: Value, good: bool },
 }
 
 impl Answer {
+    fn code(&self) -> ExitCode {
+        if matches!(self, Self::Verdict { good: false, .. }) { ExitCode::from(1) } else { ExitCode::SUCCESS }
+    }
+
     fn print(self, command: &str, global: &Global) {
         let (text, mut object) = match self {
-            Self::Figures(figures) => (summary::table(&figures, global.verbose || figures["dry_run"] == true), figures),
+            Self::Figures(figures) | Self::Verdict { figures, .. } => {
+                (summary::table(&figures, global.verbose || figures["dry_run"] == true), figures)
+            }
             // What was asked for is printed however quiet it should be.
             Self::Document { text, .. } if !global.json => return print(&text),
             Self::Document { text, object } => (text, object),
@@ -119,6 +129,8 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
             let schema = megas_scene::json_schema();
             Ok(Answer::Document { text: format!("{schema:#}\n"), object: json!({ "schema": schema }) })
         }
+        Command::Validate(a) if a.list => Ok(Answer::Document { text: validate::list(), object: validate::list_json() }),
+        Command::Validate(a) => validate::run(a, global).map(|(figures, good)| Answer::Verdict { figures, good }),
         Command::Materials => Ok(Answer::Document { text: materials::table(), object: json!({ "materials": materials::list() }) }),
     }
 }

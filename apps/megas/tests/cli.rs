@@ -41,6 +41,7 @@ fn help_answers_with_examples() {
         &["reconstruct", "--help"],
         &["finetune", "--help"],
         &["eval", "reconstruct", "--help"],
+        &["validate", "--help"],
     ] {
         let output = megas(arguments);
         assert_eq!(output.status.code(), Some(0), "{arguments:?}");
@@ -90,6 +91,25 @@ fn materials_are_listed_in_both_forms() {
     let ice = list.iter().find(|m| m["name"] == "water-ice").unwrap();
     assert_eq!(ice["latent_heat_j_kg"], 334e3);
     assert!(list.iter().find(|m| m["name"] == "elastic").unwrap()["solidus_c"].is_null());
+}
+
+#[test]
+fn validation_writes_a_page_and_ends_with_its_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("suite");
+    let output = megas(&["validate", "--case", "v02", "--json", "-o", out.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", stdout(&output));
+    let lines = json_lines(&output);
+    assert!(lines.iter().any(|l| l["event"] == "case" && l["case"] == "V02" && l["rows"][0]["passed"] == true));
+    let last = lines.last().unwrap();
+    assert_eq!((&last["event"], &last["total"], &last["passed"]), (&"result".into(), &1.into(), &1.into()));
+    assert!(last["failed"].as_array().unwrap().is_empty());
+    assert!(std::fs::read_to_string(out.join("validation.html")).unwrap().ends_with("</html>\n"));
+    let kept: Value = serde_json::from_str(&std::fs::read_to_string(out.join("validation.json")).unwrap()).unwrap();
+    assert_eq!(kept["cases"][0]["id"], "V02");
+    let unknown = megas(&["validate", "--case", "V99", "-o", out.to_str().unwrap()]);
+    assert_eq!(unknown.status.code(), Some(2));
+    assert!(stderr(&unknown).contains("V99") && stderr(&unknown).contains("V02"));
 }
 
 #[test]

@@ -3,12 +3,17 @@
 //! `megas validate` runs it and writes a page of it; `cargo test -p megas-validation` asserts it.
 
 pub mod coupled;
+mod figure;
 pub mod heat;
 pub mod mechanics;
 pub mod outcome;
+pub mod page;
+pub mod run;
+mod text;
 pub mod transfers;
 
 pub use outcome::{Curve, Outcome, Plot, Row};
+pub use run::{Finished, Results};
 
 /// How long a case takes on two cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
