@@ -11,20 +11,47 @@ use megas_sim::grid::Grid;
 use megas_sim::source::{HeatSource, Motion, Region, Schedule, SourceKind};
 use megas_sim::thermal::{AirModel, Audit, ThermalOptions, ThermalSolver, Transfer};
 
-use crate::{Case, Outcome, Row, Tier};
+use crate::{Case, Outcome, Plot, Row, Tier};
 use cloud::{Cloud, simple};
 
 /// The cases of this file.
 pub const CASES: &[Case] = &[
-    Case::new("V01", "conservation of the thermal transfers", Tier::A, conservation),
-    Case::new("V03", "numerical diffusion of the thermal transfers", Tier::B, numerical_diffusion),
-    Case::new("V04", "blob of heat carried by moving material", Tier::B, moving_blob),
-    Case::new("V06", "half space with a wall at fixed temperature", Tier::A, fronts::half_space),
-    Case::new("V11", "one-phase Stefan problem on nodes", Tier::B, fronts::stefan_nodes),
-    Case::new("V12", "one-phase Stefan problem with points", Tier::B, fronts::stefan_points),
-    Case::new("V15", "slab of points cooled by a film", Tier::B, surfaces::slab),
-    Case::new("V16", "lumped cooling of a ball by a film", Tier::A, surfaces::lumped_cooling),
-    Case::new("V17", "surface area without a mesh", Tier::A, surfaces::area_measure),
+    Case::new("V01", "conservation of the thermal transfers", Tier::A, conservation)
+        .proves("that no heat is lost between points and nodes, whatever the transfer")
+        .setup("10⁴ points of two materials at random places, random enthalpies and gradients, a source of 10 kW, five exchanges")
+        .formula("Σ m h after = Σ m h before + heat of the source"),
+    Case::new("V03", "numerical diffusion of the thermal transfers", Tier::B, numerical_diffusion)
+        .proves("that the transfer itself conducts no heat: material may move for ever without smearing its temperature")
+        .setup("periodic bar of 128 × 4 × 4 cells, jittered points, T = cos(2πx/32Δx), no conduction, only round trips")
+        .formula("α_{num} = −ln(amplitude)/(N k²): Δx²/4Δt for PIC, 10^{−3} for the affine transfer of the paper, 0 for increments"),
+    Case::new("V04", "blob of heat carried by moving material", Tier::B, moving_blob)
+        .proves("that heat travels with the material once, not twice, and diffuses at the right rate on the way")
+        .setup("periodic bar full of material that crosses 185 cells in 5000 steps; a Gaussian of σ = 6Δx with α = 10^{−3} Δx²/Δt")
+        .formula("T = σ/√(σ² + 2αt) · exp(−x²/2(σ² + 2αt)) in the frame of the material"),
+    Case::new("V06", "half space with a wall at fixed temperature", Tier::A, fronts::half_space)
+        .proves("the place of the wall (half a cell before the first node) and the diffusivity")
+        .setup("128 nodes, T = 0 at first, wall at T_{w} = 1, K = 0.1, 4000 steps")
+        .formula("T = erfc(x/√(4Kt)) = erfc(x/40)"),
+    Case::new("V11", "one-phase Stefan problem on nodes", Tier::B, fronts::stefan_nodes)
+        .proves("latent heat on the nodes")
+        .setup("64 cells of solid at its melting point behind a wall at T_{w} = 1, L = 1/St, until the front is at 0.7 N")
+        .formula("s = 2λ√(αt), λ e^{λ²} erf λ = St/√π"),
+    Case::new("V12", "one-phase Stefan problem with points", Tier::B, fronts::stefan_points)
+        .proves("the whole thermal chain: points, nodes, latent heat, and back")
+        .setup("27 points per cell, bars of 20 and 40 cells, walls and materials as in V11")
+        .formula("s = 2λ√(αt), λ e^{λ²} erf λ = St/√π"),
+    Case::new("V15", "slab of points cooled by a film", Tier::B, surfaces::slab)
+        .proves("the film: surface area, depth correction, time units")
+        .setup("slab of 16 cells between two films, Bi = hL/k = 1 and 10, 8 and 27 points per cell, three offsets to the grid, Fo = 0.5")
+        .formula("T(ξ) = Σ_{n} 2 sin ζ_{n}/(ζ_{n} + sin ζ_{n} cos ζ_{n}) · cos(ζ_{n}ξ) e^{−ζ²Fo}, ζ_{n} tan ζ_{n} = Bi"),
+    Case::new("V16", "lumped cooling of a ball by a film", Tier::A, surfaces::lumped_cooling)
+        .proves("the total surface area that the film sees")
+        .setup("aluminium ball of 20 mm, 12 cells across, film of 20 W/m²K, 60 K above the air")
+        .formula("T − T_{∞} = 60 K · e^{−t/τ}, τ = ρcR/3h = 405 s"),
+    Case::new("V17", "surface area without a mesh", Tier::A, surfaces::area_measure)
+        .proves("the area measure |∇φ|Δx on which films, torches and fluxes act")
+        .setup("balls of 8 and 16 cells radius, cubes of 16 and 32 cells, straight and turned, made of jittered points")
+        .formula("4πR² and 6a²"),
 ];
 
 /// Σ m h on the way to the nodes, through conduction and a source, and back.
@@ -104,22 +131,35 @@ fn bar_solver(transfer: Transfer, k: f64) -> ThermalSolver {
 /// Decay of a cosine under round trips alone: α_num Δt/Δx².
 fn numerical_diffusion() -> Outcome {
     let k = TAU / 32.0;
+    // The numerical diffusivity, and what is left of the amplitude after each of forty parts of the trips.
     let measure = |transfer, trips: u32| {
         let mut cloud = bar(|x| (k * x).cos(), |x| -k * (k * x).sin());
         let mut solver = bar_solver(transfer, 1.0);
         let amplitude = |c: &Cloud| c.xi.iter().zip(&c.h).map(|(x, h)| (k * x[0]).cos() * h).sum::<f64>();
         let start = amplitude(&cloud);
-        for _ in 0..trips {
+        let mut left = vec![[0.0, 1.0]];
+        for n in 1..=trips {
             cloud.step(&mut solver, 0.0, 0.0, &[], None);
+            if n % (trips / 40) == 0 {
+                left.push([f64::from(n), amplitude(&cloud) / start]);
+            }
         }
-        -(amplitude(&cloud) / start).ln() / (f64::from(trips) * k * k)
+        (-(amplitude(&cloud) / start).ln() / (f64::from(trips) * k * k), left)
     };
-    vec![
-        Row::new("PIC overwrite, α Δt/Δx²", 0.249, measure(Transfer::PicOverwrite, 200), 0.005),
-        Row::new("affine overwrite, α Δt/Δx²", 1.05e-3, measure(Transfer::AffineOverwrite, 2000), 0.25e-3),
-        Row::new("increments c_sub=0, α Δt/Δx²", 0.0, measure(Transfer::Increments { relaxation: 0.0 }, 200), 1e-7),
-    ]
-    .into()
+    let pic = measure(Transfer::PicOverwrite, 200);
+    let affine = measure(Transfer::AffineOverwrite, 2000);
+    let increments = measure(Transfer::Increments { relaxation: 0.0 }, 200);
+    let plot = Plot::new("what is left of a wave of 32 cells that nothing conducts", "round trips", "amplitude")
+        .function("no diffusion", 0.0, 2000.0, |_| 1.0)
+        .ours("PIC", pic.1)
+        .ours("affine (the paper's)", affine.1)
+        .ours("increments (ours)", increments.1);
+    Outcome::from(vec![
+        Row::new("PIC overwrite, α Δt/Δx²", 0.249, pic.0, 0.005),
+        Row::new("affine overwrite, α Δt/Δx²", 1.05e-3, affine.0, 0.25e-3),
+        Row::new("increments c_sub=0, α Δt/Δx²", 0.0, increments.0, 1e-7),
+    ])
+    .plot(plot)
 }
 
 /// A Gaussian of heat in material that crosses 185 cells while it diffuses.
@@ -148,12 +188,19 @@ fn moving_blob() -> Outcome {
     let t = f64::from(steps);
     let error: f64 = home.iter().zip(&cloud.h).map(|(x, h)| (h - profile(*x, t)).powi(2)).sum();
     let size: f64 = home.iter().map(|x| profile(*x, t).powi(2)).sum();
-    vec![
+    let mut shown: Vec<[f64; 2]> = home.iter().zip(&cloud.h).step_by(64).map(|(x, h)| [x - centre, *h]).collect();
+    shown.retain(|p| p[0].abs() < 30.0);
+    shown.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let plot = Plot::new("the blob after 185 cells of travel, in the frame of the material", "x [cells]", "T")
+        .function("at the start", -30.0, 30.0, |x| profile(centre + x, 0.0))
+        .function("exact", -30.0, 30.0, |x| profile(centre + x, t))
+        .ours("points", shown);
+    Outcome::from(vec![
         Row::new("α_eff/α", 1.0, (variance(&cloud) - start) / (2.0 * alpha * t), 0.02),
         Row::new("relative L2 error", 0.0, (error / size).sqrt(), 2e-3),
         Row::new("energy drift, relative", 0.0, (total.after - total.before) / total.before, 1e-11),
-    ]
-    .into()
+    ])
+    .plot(plot)
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use megas_sim::material::Material;
 use megas_sim::thermal::{Audit, NodeFields, ThermalOptions, ThermalSolver, Wall};
 
 use super::cloud::{Cloud, simple};
-use crate::{Outcome, Row};
+use crate::{Outcome, Plot, Row};
 
 /// λ of `λ e^{λ²} erf λ = St/√π` (simulation.md V11).
 fn stefan_lambda(st: f64) -> f64 {
@@ -67,44 +67,82 @@ pub fn half_space() -> Outcome {
     let mut rod = Rod::new(128, &simple(1.0, 1.0, 0.1));
     alone(|| (0..4000).for_each(|_| rod.step()));
     let t = |x: usize| 0.5 * (rod.energy[x] + rod.energy[x + 1]);
-    [(10, 0.72367), (20, 0.47950), (30, 0.28884), (40, 0.15730), (60, 0.03389)]
+    let rows = [(10, 0.72367), (20, 0.47950), (30, 0.28884), (40, 0.15730), (60, 0.03389)]
         .map(|(x, reference)| Row::new(format!("T at {x} cells"), reference, t(x), 1e-3))
-        .to_vec()
-        .into()
+        .to_vec();
+    // The series and continued fraction of the error function are not worth their code here: the curve is the integral itself.
+    let exact = |x: f64| 1.0 - erf(x / 40.0);
+    let plot = Plot::new("temperature behind the wall after 4000 steps", "x [cells]", "T")
+        .function("erfc(x/40)", 0.0, 100.0, exact)
+        .ours("nodes", (1..100).step_by(3).map(|n| [n as f64 - 0.5, rod.energy[n]]).collect());
+    Outcome::from(rows).plot(plot)
+}
+
+/// Error function by Simpson's rule; enough for a curve.
+fn erf(x: f64) -> f64 {
+    const STEPS: u32 = 64;
+    let h = x / f64::from(STEPS);
+    let at = |k: u32| (-(f64::from(k) * h).powi(2)).exp();
+    let weight = |k: u32| if k == 0 || k == STEPS { 1.0 } else { f64::from(2 + 2 * (k % 2)) };
+    std::f64::consts::FRAC_2_SQRT_PI * h / 3.0 * (0..=STEPS).map(|k| weight(k) * at(k)).sum::<f64>()
 }
 
 /// Front `Σ f_l = 2λ√(K̃t)` on nodes, at 0.7 N.
 pub fn stefan_nodes() -> Outcome {
     let (cells, k) = (64, 0.05);
     let mut rows = Vec::new();
+    let mut plot = Plot::new("melting front", "√t [√steps]", "front [cells]");
+    let mut curves = Vec::new();
     for st in [0.05, 0.1, 0.5, 1.0, 2.0] {
         let lambda = stefan_lambda(st);
         let steps = ((0.7 * cells as f64 / (2.0 * lambda)).powi(2) / k).ceil();
         let mut rod = Rod::new(cells, &stefan_material(st, k));
-        alone(|| (0..steps as u64).for_each(|_| rod.step()));
-        let front: f64 = rod.energy.iter().map(|h| rod.solver.liquid_fraction(0, *h)).sum();
+        let melted = |rod: &Rod| rod.energy.iter().map(|h| rod.solver.liquid_fraction(0, *h)).sum::<f64>();
+        let mut seen = Vec::new();
+        alone(|| {
+            for step in 1..=steps as u64 {
+                rod.step();
+                if step % (steps as u64 / 25) == 0 {
+                    seen.push([(step as f64).sqrt(), melted(&rod)]);
+                }
+            }
+        });
+        let front = melted(&rod);
+        plot = plot.function(format!("exact, St = {st}"), 0.0, steps.sqrt(), |root| 2.0 * lambda * k.sqrt() * root);
+        curves.push((st, seen));
         rows.push(Row::relative(format!("front at St = {st}, N = {cells} [cells]"), 2.0 * lambda * (k * steps).sqrt(), front, 0.002));
         rows.push(Row::new(format!("audit at St = {st}, relative"), 0.0, rod.total.residual / rod.total.after, 1e-10));
     }
-    rows.into()
+    let plot = curves.into_iter().fold(plot, |plot, (st, seen)| plot.ours(format!("nodes, St = {st}"), seen));
+    Outcome::from(rows).plot(plot)
 }
 
 /// The front with points, 3 per cell and axis.
 pub fn stefan_points() -> Outcome {
     alone(|| {
         let mut rows = Vec::new();
+        let mut fronts = Plot::new("melting front, 40 cells", "√t [√steps]", "front [cells]");
+        let mut errors = Plot::new("error of the front", "front [cells]", "error [cells]").function("none", 0.0, 28.0, |_| 0.0);
+        let mut curves = Vec::new();
         for (cells, st) in [(20, 0.1), (20, 0.5), (20, 2.0), (40, 0.5), (40, 2.0)] {
-            rows.extend(stefan_bar(cells, st));
+            let (more, seen) = stefan_bar(cells, st);
+            rows.extend(more);
+            errors = errors.ours(format!("St = {st}, N = {cells}"), seen.iter().map(|[_, front, exact]| [*exact, front - exact]).collect());
+            if cells == 40 {
+                fronts = fronts.reference(format!("exact, St = {st}"), seen.iter().map(|[root, _, exact]| [*root, *exact]).collect());
+                curves.push((st, seen.iter().map(|[root, front, _]| [*root, *front]).collect()));
+            }
         }
-        rows
+        let fronts = curves.into_iter().fold(fronts, |plot, (st, seen)| plot.ours(format!("points, St = {st}"), seen));
+        Outcome::from(rows).plot(fronts).plot(errors)
     })
-    .into()
 }
 
 /// Front position from which the error counts \[cells\].
 const START_UP: f64 = 4.0;
 
-fn stefan_bar(cells: usize, st: f64) -> Vec<Row> {
+/// Rows, and √t, front and exact front along the way.
+fn stefan_bar(cells: usize, st: f64) -> (Vec<Row>, Vec<[f64; 3]>) {
     let k = 0.15;
     let lambda = stefan_lambda(st);
     // Nodes 0–2 are the wall, whose face is at ξ = 2.5; four empty layers end the bar.
@@ -125,6 +163,7 @@ fn stefan_bar(cells: usize, st: f64) -> Vec<Row> {
     let mut total = Audit::default();
     let (mut worst, mut last) = (0.0f64, 0.0f64);
     let mut widest = 0.0f64;
+    let mut seen = Vec::new();
     for step in 0..steps {
         total.append(&cloud.step(&mut solver, 1.0, f64::from(step), &[], Some(&walls)));
         if (step + 1) % (steps / 20) == 0 {
@@ -136,6 +175,7 @@ fn stefan_bar(cells: usize, st: f64) -> Vec<Row> {
             }
             let exact = 2.0 * lambda * (k * f64::from(step + 1)).sqrt();
             last = front - exact;
+            seen.push([f64::from(step + 1).sqrt(), front, exact]);
             // The first cells are a start-up: the front is narrower than the kernel.
             if exact >= START_UP && last.abs() > worst.abs() {
                 worst = last;
@@ -144,10 +184,11 @@ fn stefan_bar(cells: usize, st: f64) -> Vec<Row> {
         }
     }
     let label = format!("St = {st}, N = {cells}");
-    vec![
+    let rows = vec![
         Row::new(format!("front error at 0.7 N, {label} [cells]"), 0.0, last, 0.1),
         Row::new(format!("largest front error past {START_UP} cells, {label}"), 0.0, worst, 0.1),
         Row::new(format!("largest mushy width, {label} [cells]"), 1.0, widest, 1.0),
         Row::new(format!("audit, {label}, relative"), 0.0, total.residual / total.after, 1e-10),
-    ]
+    ];
+    (rows, seen)
 }

@@ -7,7 +7,7 @@ use megas_sim::source::Film;
 use megas_sim::thermal::{AirModel, ThermalOptions, ThermalSolver};
 
 use super::cloud::{Cloud, simple};
-use crate::{Outcome, Row};
+use crate::{Outcome, Plot, Row};
 
 /// Jittered points, 2 per cell and axis, inside a shape of `volume` cells that `inside` describes around the centre of the
 /// grid, turned by `turn`. Unit spacing.
@@ -43,6 +43,10 @@ fn film_solver(grid: Grid, coefficient: f64, material: &megas_sim::material::Mat
 pub fn slab() -> Outcome {
     let alpha = 0.1;
     let mut rows = Vec::new();
+    let mut plot = Plot::new("half of the slab at Fo = 0.5", "distance from the middle / half thickness", "T / T_{0}");
+    for biot in [1.0, 10.0] {
+        plot = plot.function(format!("exact, Bi = {biot}"), 0.0, 1.0, |x| slab_profile(biot, 0.5, x));
+    }
     for (biot, centre, mean, tolerance) in [(1.0, 0.7725, 0.6811, 0.03), (10.0, 0.4546, 0.3150, 0.08)] {
         for per_cell in [2, 3] {
             for offset in [0.0, 0.3, 0.5] {
@@ -64,12 +68,36 @@ pub fn slab() -> Outcome {
                 let label = format!("Bi = {biot}, {per_cell} per cell, offset {offset}");
                 let middle = solver.sample([14.0 + offset, 1.7, 2.2]).unwrap_or(f64::NAN);
                 rows.push(Row::relative(format!("centre, {label}"), centre, middle, tolerance));
+                if per_cell == 2 && offset == 0.3 {
+                    let mut shown: Vec<[f64; 2]> =
+                        cloud.xi.iter().zip(&cloud.h).step_by(16).map(|(x, h)| [(x[0] - 14.0 - offset).abs() / 8.0, *h]).collect();
+                    shown.sort_by(|a, b| a[0].total_cmp(&b[0]));
+                    plot = plot.ours(format!("points, Bi = {biot}"), shown);
+                }
                 let average = cloud.h.iter().sum::<f64>() / cloud.h.len() as f64;
                 rows.push(Row::relative(format!("mean, {label}"), mean, average, tolerance));
             }
         }
     }
-    rows.into()
+    Outcome::from(rows).plot(plot)
+}
+
+/// Temperature of a slab between two films at the distance `x` (in half thicknesses) from its middle, started at 1.
+fn slab_profile(biot: f64, fourier: f64, x: f64) -> f64 {
+    let root = |n: u32| {
+        // ζ tan ζ = Bi rises from 0 to ∞ between nπ and nπ + π/2.
+        let (mut lo, mut hi) = (f64::from(n) * std::f64::consts::PI, (f64::from(n) + 0.5) * std::f64::consts::PI);
+        for _ in 0..60 {
+            let middle = 0.5 * (lo + hi);
+            if middle * middle.sin().abs() < biot * middle.cos().abs() { lo = middle } else { hi = middle }
+        }
+        0.5 * (lo + hi)
+    };
+    let term = |n: u32| {
+        let z = root(n);
+        2.0 * z.sin() / (z + z.sin() * z.cos()) * (z * x).cos() * (-z * z * fourier).exp()
+    };
+    (0..12).map(term).sum()
 }
 
 /// An aluminium ball: `T ∝ e^{−t/405 s}`.
@@ -84,18 +112,25 @@ pub fn lumped_cooling() -> Outcome {
     let steps = 100;
     let mut heat = 0.0;
     let mut residual = 0.0f64;
+    let mut seen = vec![[0.0, 60.0]];
     for step in 0..steps {
         let audit = cloud.step(&mut solver, 405.0 / f64::from(steps), f64::from(step), &[], None);
         heat += audit.film;
         residual = residual.max((audit.residual / audit.before).abs());
+        if (step + 1) % 5 == 0 {
+            seen.push([405.0 * f64::from(step + 1) / f64::from(steps), mean(&cloud)]);
+        }
     }
     let reference = (-1.0f64).exp();
-    vec![
+    let plot = Plot::new("mean temperature of the ball above the air", "t [s]", "T − T_{∞} [K]")
+        .function("60 K · e^{−t/405 s}", 0.0, 405.0, |t| 60.0 * (-t / 405.0).exp())
+        .ours("points", seen);
+    Outcome::from(vec![
         Row::relative("mean temperature after 405 s over the start", reference, mean(&cloud) / 60.0, 0.02),
         Row::relative("heat taken by the film [J]", (reference - 1.0) * 2700.0 * 900.0 * 60.0 * 4.18879e-6, heat, 0.02),
         Row::new("audit per step, relative", 0.0, residual, 1e-11),
-    ]
-    .into()
+    ])
+    .plot(plot)
 }
 
 /// Σ a Δx² of balls and of a box.
