@@ -1,11 +1,6 @@
 //! Signed distance to a ground-truth mesh, and Gaussians that lie where nobody can see them (splatting.md §9.3 M3).
 
-mod bvh;
-mod distance;
-mod winding;
-
-pub use distance::{Closest, MeshDistance};
-
+pub use megas_geometry::{Closest, MeshDistance};
 use megas_model::Splats;
 use serde::{Deserialize, Serialize};
 

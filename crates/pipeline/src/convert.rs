@@ -6,7 +6,6 @@ use megas_math::{quat, vec3};
 use megas_model::Points;
 use megas_scene::{
     AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, MotionKey, Object, Placement, Quantity, Region, ResolvedMaterial, Scene, Severity,
-    SiShape,
 };
 use megas_sim::collider::SCENE_CONTACT_OFFSET;
 use megas_sim::grid::Grid;
@@ -80,23 +79,11 @@ fn heat_region(r: &Region, frame: Frame, context: &HeatContext<'_>) -> Result<re
             .ok_or_else(|| Failure::Input(format!("heat source names the object '{name}', which does not exist")))
     };
     match (r, r.to_si(frame, context.placement)) {
-        (_, Some(shape)) => Ok(si_region(shape)),
+        (_, Some(shape)) => Ok(shape.into()),
         (Region::Surface(name), None) if name == "all" => Ok(region::Region::Surface(None)),
         (Region::Surface(name), None) => Ok(region::Region::Surface(Some(object(name)?))),
         (Region::Object(name), None) if name != "all" => Ok(region::Region::Object(object(name)?)),
         _ => Ok(region::Region::All),
-    }
-}
-
-/// A shape of the scene as a region of the simulator.
-pub fn si_region(shape: SiShape) -> region::Region {
-    match shape {
-        SiShape::Sphere { center, radius } => region::Region::Sphere { center, radius },
-        SiShape::Box { center, half, axes } => region::Region::Box { center, half, rotation: quat::from_mat3(axes) },
-        SiShape::Cylinder { from, to, radius } => region::Region::Cylinder { a: from, b: to, radius },
-        SiShape::Capsule { from, to, radius } => region::Region::Capsule { a: from, b: to, radius },
-        // The scene says where the half-space lies, the simulator which way its surface faces.
-        SiShape::HalfSpace { point, direction } => region::Region::HalfSpace { point, normal: direction.map(|v| -v) },
     }
 }
 
@@ -239,11 +226,12 @@ impl Reached {
 fn reached(source: &HeatSource, config: &SolverConfig, materials: &[ResolvedMaterial], points: &Points) -> Reached {
     let mut out = Reached { conduction_s: f64::INFINITY, ..Reached::default() };
     let mut slowest = 0.0f64;
+    let start = source.motion.at(0.0, source.region.pivot());
     for (k, m) in materials.iter().enumerate().filter(|(_, m)| m.melting_point().is_finite()) {
         let mut v = 0.0;
         for i in (0..points.len()).filter(|&i| usize::from(points.material[i]) == k) {
             let inside = source.region.object().is_none_or(|o| o == points.object[i])
-                && source.region.weight(points.position[i], config.grid.spacing) > 0.5;
+                && source.region.weight(points.position[i], config.grid.spacing, &start) > 0.5;
             if inside {
                 let dv = f64::from(points.volume[i]);
                 let warm = m.heat_capacity_solid * (m.melting_point() - f64::from(points.temperature[i])).max(0.0);
@@ -318,13 +306,12 @@ pub fn prepare(scene: &Scene, bodies: &Bodies) -> Result<Prepared, Failure> {
         AirMode::None => AirModel::None,
         AirMode::Film => AirModel::Film(air_film(scene, volume)),
     };
-    let (colliders, collider_temperature) = crate::colliders::colliders(scene, meta)?;
+    let colliders = crate::colliders::colliders(scene, meta)?;
     let mut config = SolverConfig {
         grid: grid(scene, meta)?,
         materials: materials.iter().map(sim_material).collect(),
         sources,
         colliders,
-        collider_temperature,
         gravity: [0.0, 0.0, -scene.simulation.gravity_m_s2],
         ambient: scene.ambient_k(),
         thermal: ThermalOptions { air, ..ThermalOptions::default() },

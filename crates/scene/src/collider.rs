@@ -24,11 +24,11 @@ pub enum ColliderMode {
 pub enum ColliderShape {
     /// A floor or wall.
     Plane(Plane),
-    /// A box, turned by right angles at most.
+    /// A box.
     Box(BoxShape),
     /// A ball.
     Sphere(Sphere),
-    /// An upright cylinder.
+    /// A cylinder.
     Cylinder(Tube),
     /// A cylinder with round ends.
     Capsule(Tube),

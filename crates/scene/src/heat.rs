@@ -1,10 +1,11 @@
 //! Heat sources: region × kind × schedule × motion (simulation.md §4.7).
 
+use megas_geometry::Shape;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::CELSIUS_K;
-use crate::shape::{BoxShape, Frame, HalfSpace, Placement, SiShape, Sphere, Tube};
+use crate::shape::{BoxShape, Frame, HalfSpace, Placement, Sphere, Tube};
 use crate::value::Auto;
 
 /// What a heat source does inside its region. Any of them cools when it is colder than the object.
@@ -98,7 +99,7 @@ impl Default for Region {
 
 impl Region {
     /// The shape in metres; `None` for [`Region::Object`] and [`Region::Surface`], which are sets of points.
-    pub fn to_si(&self, frame: Frame, placement: &Placement) -> Option<SiShape> {
+    pub fn to_si(&self, frame: Frame, placement: &Placement) -> Option<Shape> {
         match self {
             Self::Sphere(s) => Some(placement.sphere(frame, s)),
             Self::Box(b) => Some(placement.boxed(frame, b)),

@@ -42,7 +42,7 @@ pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
 pub use scene::{Clock, Scene};
 pub use schema::json_schema;
 pub use settings::{Air, AirMode, Fill, OpenBottom, PhaseMode, Push, Quality, Simulation, Skin, Time};
-pub use shape::{BoxShape, Frame, HalfSpace, Placement, Plane, SiShape, Sphere, Tube};
+pub use shape::{BoxShape, Frame, HalfSpace, Placement, Plane, Sphere, Tube};
 pub use value::{Auto, Colour, Up};
 
 /// Offset between degrees Celsius (scene files) and kelvin (everything inside).

@@ -1,5 +1,6 @@
 //! Shapes, the two frames they may be given in, and the way from both to metres (simulation.md §0.1).
 
+use megas_geometry::Shape;
 use megas_math::{Mat3, mat3, vec3};
 use megas_model::Similarity;
 use schemars::JsonSchema;
@@ -93,75 +94,6 @@ fn euler_xyz(deg: [f64; 3]) -> Mat3<f64> {
     mat3::mul(z, mat3::mul(y, x))
 }
 
-/// A shape in metres and simulator axes (+z up).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum SiShape {
-    /// A ball.
-    Sphere {
-        /// Centre \[m\].
-        center: [f64; 3],
-        /// Radius \[m\].
-        radius: f64,
-    },
-    /// An oriented box.
-    Box {
-        /// Centre \[m\].
-        center: [f64; 3],
-        /// Half sides \[m\].
-        half: [f64; 3],
-        /// Rotation whose columns are the box's axes.
-        axes: Mat3<f64>,
-    },
-    /// A cylinder with flat ends.
-    Cylinder {
-        /// One end of the axis \[m\].
-        from: [f64; 3],
-        /// The other end \[m\].
-        to: [f64; 3],
-        /// Radius \[m\].
-        radius: f64,
-    },
-    /// A cylinder with round ends.
-    Capsule {
-        /// One end of the axis \[m\].
-        from: [f64; 3],
-        /// The other end \[m\].
-        to: [f64; 3],
-        /// Radius \[m\].
-        radius: f64,
-    },
-    /// Everything on the side that `direction` points to.
-    HalfSpace {
-        /// A point of the plane \[m\].
-        point: [f64; 3],
-        /// Unit direction into the half-space.
-        direction: [f64; 3],
-    },
-}
-
-impl SiShape {
-    /// True if the point \[m\] lies inside.
-    pub fn contains(&self, x: [f64; 3]) -> bool {
-        match *self {
-            Self::Sphere { center, radius } => vec3::norm(vec3::sub(x, center)) <= radius,
-            Self::Box { center, half, axes } => {
-                let local = mat3::tmul_vec(axes, vec3::sub(x, center));
-                (0..3).all(|a| local[a].abs() <= half[a])
-            }
-            Self::Cylinder { from, to, radius } | Self::Capsule { from, to, radius } => {
-                let axis = vec3::sub(to, from);
-                let length2 = vec3::dot(axis, axis).max(f64::MIN_POSITIVE);
-                let s = vec3::dot(vec3::sub(x, from), axis) / length2;
-                if matches!(self, Self::Cylinder { .. }) && !(0.0..=1.0).contains(&s) {
-                    return false;
-                }
-                vec3::norm(vec3::sub(x, vec3::add_scaled(from, axis, s.clamp(0.0, 1.0)))) <= radius
-            }
-            Self::HalfSpace { point, direction } => vec3::dot(vec3::sub(x, point), direction) >= 0.0,
-        }
-    }
-}
-
 /// Where the objects are: what turns positions of a scene file into metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
@@ -200,38 +132,39 @@ impl Placement {
     }
 
     /// A ball of the file in metres.
-    pub fn sphere(&self, frame: Frame, s: &Sphere) -> SiShape {
-        SiShape::Sphere { center: self.point(frame, s.center), radius: self.length(frame, s.radius) }
+    pub fn sphere(&self, frame: Frame, s: &Sphere) -> Shape {
+        Shape::Sphere { center: self.point(frame, s.center), radius: self.length(frame, s.radius) }
     }
 
     /// A box of the file in metres.
-    pub fn boxed(&self, frame: Frame, b: &BoxShape) -> SiShape {
+    pub fn boxed(&self, frame: Frame, b: &BoxShape) -> Shape {
         let (center, half, axes) = b.oriented();
         let center = self.point(frame, center);
         match frame {
             Frame::Scene => {
-                SiShape::Box { center, half: half.map(|h| self.length(frame, h)), axes: mat3::mul(self.similarity.rotation, axes) }
+                Shape::Box { center, half: half.map(|h| self.length(frame, h)), axes: mat3::mul(self.similarity.rotation, axes) }
             }
             Frame::Object => {
                 let half = std::array::from_fn(|a| half[a] * (self.box_max[a] - self.box_min[a]));
-                SiShape::Box { center, half, axes }
+                Shape::Box { center, half, axes }
             }
         }
     }
 
     /// A cylinder of the file in metres.
-    pub fn cylinder(&self, frame: Frame, t: &Tube) -> SiShape {
-        SiShape::Cylinder { from: self.point(frame, t.from), to: self.point(frame, t.to), radius: self.length(frame, t.radius) }
+    pub fn cylinder(&self, frame: Frame, t: &Tube) -> Shape {
+        Shape::Cylinder { a: self.point(frame, t.from), b: self.point(frame, t.to), radius: self.length(frame, t.radius) }
     }
 
     /// A capsule of the file in metres.
-    pub fn capsule(&self, frame: Frame, t: &Tube) -> SiShape {
-        SiShape::Capsule { from: self.point(frame, t.from), to: self.point(frame, t.to), radius: self.length(frame, t.radius) }
+    pub fn capsule(&self, frame: Frame, t: &Tube) -> Shape {
+        Shape::Capsule { a: self.point(frame, t.from), b: self.point(frame, t.to), radius: self.length(frame, t.radius) }
     }
 
     /// A half-space of the file in metres.
-    pub fn half_space(&self, frame: Frame, h: &HalfSpace) -> SiShape {
-        SiShape::HalfSpace { point: self.point(frame, h.point), direction: self.direction(frame, h.direction) }
+    pub fn half_space(&self, frame: Frame, h: &HalfSpace) -> Shape {
+        // The file says where the half-space lies, the shape which way its surface faces.
+        Shape::HalfSpace { point: self.point(frame, h.point), normal: self.direction(frame, h.direction).map(|v| -v) }
     }
 }
 

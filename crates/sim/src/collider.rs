@@ -1,104 +1,10 @@
-//! Solid obstacles as conditions on nodes (simulation.md §6.1): signed distances, contact modes, friction.
+//! Solid obstacles as conditions on nodes (simulation.md §6.1, §6.3): motion, contact modes, friction, what they do to heat.
 
+pub use megas_geometry::Shape;
 use megas_math::{Vec3, vec3};
 use serde::{Deserialize, Serialize};
 
-/// Geometry of an obstacle; lengths in metres.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Shape {
-    /// Half space below a plane.
-    Plane {
-        /// A point of the plane.
-        point: [f64; 3],
-        /// Direction out of the solid; need not have unit length.
-        normal: [f64; 3],
-    },
-    /// Axis-aligned box.
-    Box {
-        /// Lowest corner.
-        min: [f64; 3],
-        /// Highest corner.
-        max: [f64; 3],
-    },
-    /// Ball.
-    Sphere {
-        /// Centre.
-        center: [f64; 3],
-        /// Radius.
-        radius: f64,
-    },
-    /// Ball swept along a segment.
-    Capsule {
-        /// One end of the axis.
-        a: [f64; 3],
-        /// The other end.
-        b: [f64; 3],
-        /// Radius.
-        radius: f64,
-    },
-    /// Upright cylinder (axis along z).
-    Cylinder {
-        /// Centre of the bottom disc.
-        base: [f64; 3],
-        /// Radius.
-        radius: f64,
-        /// Height.
-        height: f64,
-    },
-}
-
-impl Shape {
-    /// Signed distance to the surface, negative inside, and its gradient (the outward unit normal). Exact outside; inside
-    /// it is the distance to the nearest face.
-    pub fn distance(&self, x: [f64; 3]) -> (f64, [f64; 3]) {
-        const UP: Vec3<f64> = [0.0, 0.0, 1.0];
-        match *self {
-            Shape::Plane { point, normal } => {
-                let n = vec3::normalize_or(normal, UP);
-                (vec3::dot(vec3::sub(x, point), n), n)
-            }
-            Shape::Sphere { center, radius } => {
-                let r = vec3::sub(x, center);
-                (vec3::norm(r) - radius, vec3::normalize_or(r, UP))
-            }
-            Shape::Capsule { a, b, radius } => {
-                let (ab, ax) = (vec3::sub(b, a), vec3::sub(x, a));
-                let length2 = vec3::dot(ab, ab);
-                let t = if length2 > 0.0 { (vec3::dot(ax, ab) / length2).clamp(0.0, 1.0) } else { 0.0 };
-                let r = vec3::add_scaled(ax, ab, -t);
-                (vec3::norm(r) - radius, vec3::normalize_or(r, UP))
-            }
-            Shape::Box { min, max } => {
-                let center: Vec3<f64> = std::array::from_fn(|a| 0.5 * (min[a] + max[a]));
-                let half: Vec3<f64> = std::array::from_fn(|a| 0.5 * (max[a] - min[a]));
-                let r = vec3::sub(x, center);
-                orthant(r, half)
-            }
-            Shape::Cylinder { base, radius, height } => {
-                let r = vec3::sub(x, [base[0], base[1], base[2] + 0.5 * height]);
-                let radial = r[0].hypot(r[1]);
-                let (d, n) = orthant([radial, 0.0, r[2]], [radius, f64::MAX, 0.5 * height]);
-                let out = if radial > 0.0 { [r[0] / radial, r[1] / radial] } else { [1.0, 0.0] };
-                (d, [n[0] * out[0], n[0] * out[1], n[2]])
-            }
-        }
-    }
-}
-
-/// Signed distance from a box of half sides `half` around the origin.
-fn orthant(r: [f64; 3], half: [f64; 3]) -> (f64, [f64; 3]) {
-    let q: Vec3<f64> = std::array::from_fn(|a| r[a].abs() - half[a]);
-    let sign = |a: usize| if r[a] < 0.0 { -1.0 } else { 1.0 };
-    if q.iter().all(|&v| v <= 0.0) {
-        let a = (0..3).fold(0, |best, a| if q[a] > q[best] { a } else { best });
-        let mut n = [0.0; 3];
-        n[a] = sign(a);
-        return (q[a], n);
-    }
-    let out = q.map(|v| v.max(0.0));
-    let d = vec3::norm(out);
-    (d, std::array::from_fn(|a| sign(a) * out[a] / d))
-}
+use crate::schedule::{Motion, Pose, active};
 
 /// What happens to velocity at a node inside the obstacle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,9 +17,26 @@ pub enum Mode {
     Separate,
 }
 
-/// A static obstacle.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// What an obstacle does to the heat of the material that touches it (simulation.md §6.3).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Thermal {
+    /// Nothing.
+    #[default]
+    Adiabatic,
+    /// Its surface has a given temperature, whatever it takes: a hot plate.
+    Fixed {
+        /// Temperature \[K\].
+        kelvin: f64,
+        /// Temperatures over time `[t, K]` with increasing t, linear between, constant outside; they replace `kelvin`.
+        keyframes: Vec<[f64; 2]>,
+    },
+}
+
+/// An obstacle, perhaps a moving one.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Collider {
+    /// Name for messages.
+    pub name: String,
     /// Geometry.
     pub shape: Shape,
     /// Contact rule.
@@ -124,15 +47,91 @@ pub struct Collider {
     pub offset: f64,
     /// [`Mode::Separate`] turns sticky where more than half of the node's mass is liquid.
     pub melt_sticks: bool,
+    /// Rigid motion about [`Shape::pivot`].
+    pub motion: Motion,
+    /// Times `[start, end)` \[s\] at which it exists; always if empty.
+    pub active: Vec<[f64; 2]>,
+    /// What it does to heat.
+    pub thermal: Thermal,
 }
 
 /// Contact level of scene colliders \[node spacings\]: the kernel sees a wall half a node early.
 pub const SCENE_CONTACT_OFFSET: f64 = -0.5;
 
 impl Collider {
-    /// A scene collider: separate, friction 0.4, half a spacing of overlap, melts stick.
+    /// A scene collider: at rest, separate, friction 0.4, half a spacing of overlap, melts stick, adiabatic.
     pub fn new(shape: Shape) -> Self {
-        Self { shape, mode: Mode::Separate, friction: 0.4, offset: SCENE_CONTACT_OFFSET, melt_sticks: true }
+        Self {
+            name: String::new(),
+            shape,
+            mode: Mode::Separate,
+            friction: 0.4,
+            offset: SCENE_CONTACT_OFFSET,
+            melt_sticks: true,
+            motion: Motion::default(),
+            active: Vec::new(),
+            thermal: Thermal::Adiabatic,
+        }
+    }
+
+    /// True if it is always there and never moves.
+    pub fn is_static(&self) -> bool {
+        self.motion.is_still() && self.active.is_empty()
+    }
+
+    /// Its place at `time` \[s\]; `None` while it does not exist.
+    pub fn at(&self, time: f64) -> Option<Pose> {
+        active(&self.active, time).then(|| self.motion.at(time, self.shape.pivot()))
+    }
+
+    /// Upper bound of the speed \[m/s\] of its surface within the box from `lo` to `hi`, at `time`.
+    pub(crate) fn speed(&self, time: f64, lo: Vec3<f64>, hi: Vec3<f64>) -> f64 {
+        let Some(pose) = self.at(time).filter(|_| !self.motion.is_still()) else { return 0.0 };
+        let corner = |lo: Vec3<f64>, hi: Vec3<f64>, i: usize| std::array::from_fn(|a| if i >> a & 1 == 1 { hi[a] } else { lo[a] });
+        let speed = |x| vec3::norm(pose.velocity_at(x));
+        let most = |f: &dyn Fn(usize) -> f64| (0..8).map(f).fold(0.0, f64::max);
+        let anywhere = most(&|i| speed(corner(lo, hi, i)));
+        match self.shape.bounds() {
+            // Rates are affine in space: largest in a corner.
+            Some((a, b)) => most(&|i| speed(pose.now(corner(a, b, i)))).min(anywhere),
+            None => anywhere,
+        }
+    }
+}
+
+/// An obstacle where it is now.
+pub(crate) struct Placed<'a> {
+    /// Its place in the list.
+    pub index: u16,
+    pub collider: &'a Collider,
+    pub pose: Pose,
+}
+
+/// The obstacles that exist at `time`.
+pub(crate) fn placed(colliders: &[Collider], time: f64) -> Vec<Placed<'_>> {
+    colliders.iter().enumerate().filter_map(|(k, collider)| Some(Placed { index: k as u16, collider, pose: collider.at(time)? })).collect()
+}
+
+impl Placed<'_> {
+    /// Signed distance \[m\] and outward normal.
+    #[inline]
+    pub fn distance(&self, x: Vec3<f64>) -> (f64, Vec3<f64>) {
+        self.pose.distance(&self.collider.shape, x)
+    }
+
+    /// The contact of a node at `x`, if it is held.
+    pub fn contact(&self, node: u8, x: Vec3<f64>, spacing: f64) -> Option<Contact> {
+        let c = self.collider;
+        let (d, normal) = self.distance(x);
+        (d < c.offset * spacing).then(|| Contact {
+            node,
+            collider: self.index,
+            mode: c.mode,
+            melt_sticks: c.melt_sticks,
+            friction: c.friction as f32,
+            normal: vec3::cast(normal),
+            velocity: vec3::cast(self.pose.velocity_at(x)),
+        })
     }
 }
 
@@ -141,34 +140,46 @@ impl Collider {
 pub(crate) struct Contact {
     /// Node inside its block of 4³.
     pub node: u8,
+    /// Place of the obstacle in the list.
+    pub collider: u16,
     pub mode: Mode,
     pub melt_sticks: bool,
     pub friction: f32,
     pub normal: [f32; 3],
+    /// Velocity of the obstacle here \[m/s\].
+    pub velocity: [f32; 3],
 }
 
 impl Contact {
     /// The velocity after this contact; `liquid` is the liquid share of the node's mass.
     #[inline]
     fn apply(&self, v: [f32; 3], liquid: f32) -> [f32; 3] {
-        let vn = vec3::dot(v, self.normal);
-        let tangential = vec3::add_scaled(v, self.normal, -vn);
-        match self.mode {
+        let relative = vec3::sub(v, self.velocity);
+        let vn = vec3::dot(relative, self.normal);
+        let tangential = vec3::add_scaled(relative, self.normal, -vn);
+        let kept = match self.mode {
             Mode::Sticky => [0.0; 3],
             Mode::Slip => tangential,
-            Mode::Separate if vn >= 0.0 => v,
+            Mode::Separate if vn >= 0.0 => return v,
             Mode::Separate if self.melt_sticks && liquid > 0.5 => [0.0; 3],
             Mode::Separate => {
                 let vt = vec3::norm(tangential);
                 let keep = if vt > 0.0 { (1.0 + self.friction * vn / vt).max(0.0) } else { 0.0 };
                 vec3::scale(tangential, keep)
             }
-        }
+        };
+        vec3::add(self.velocity, kept)
+    }
+
+    /// True if `v` enters the obstacle by more than rounding.
+    #[inline]
+    fn entered(&self, v: [f32; 3], size: f32) -> bool {
+        vec3::dot(vec3::sub(v, self.velocity), self.normal) < -1e-6 * size
     }
 }
 
-/// Velocity of a node after all obstacles that hold it: each in list order, then the first again, and rest where they still
-/// contradict each other (the corner rule of simulation.md §6.1).
+/// Velocity of a node after all obstacles that hold it: each in list order, then the first again, and at rest with the first
+/// where they still contradict each other (the corner rule of simulation.md §6.1).
 #[inline]
 pub(crate) fn apply_contacts(contacts: &[Contact], mut v: [f32; 3], liquid: f32) -> [f32; 3] {
     for c in contacts {
@@ -176,9 +187,9 @@ pub(crate) fn apply_contacts(contacts: &[Contact], mut v: [f32; 3], liquid: f32)
     }
     if let [first, _, ..] = contacts {
         v = first.apply(v, liquid);
-        let size = vec3::norm(v);
-        if contacts.iter().any(|c| vec3::dot(v, c.normal) < -1e-6 * size) {
-            return [0.0; 3];
+        let size = vec3::norm(v).max(vec3::norm(first.velocity));
+        if contacts.iter().any(|c| c.entered(v, size)) {
+            return first.velocity;
         }
     }
     v
@@ -186,47 +197,19 @@ pub(crate) fn apply_contacts(contacts: &[Contact], mut v: [f32; 3], liquid: f32)
 
 #[cfg(test)]
 mod tests {
-    use megas_math::rng::Rng;
-
     use super::*;
 
     #[test]
-    fn distances_have_unit_gradient_and_the_right_sign() {
-        let shapes = [
-            (Shape::Plane { point: [0.0, 0.0, 0.1], normal: [0.0, 1.0, 2.0] }, [0.0, 0.0, -5.0]),
-            (Shape::Box { min: [-1.0; 3], max: [1.0, 2.0, 3.0] }, [0.0; 3]),
-            (Shape::Sphere { center: [0.2; 3], radius: 0.7 }, [0.2; 3]),
-            (Shape::Capsule { a: [0.0; 3], b: [1.0, 1.0, 0.0], radius: 0.3 }, [0.5, 0.5, 0.1]),
-            (Shape::Cylinder { base: [0.1, 0.0, -0.5], radius: 0.6, height: 1.4 }, [0.1, 0.0, 0.0]),
-        ];
-        let mut rng = Rng::new(2);
-        for (shape, inside) in shapes {
-            assert!(shape.distance(inside).0 < 0.0, "{shape:?}");
-            for _ in 0..200 {
-                let x: [f64; 3] = std::array::from_fn(|_| rng.range(-3.0, 4.0));
-                let (d, n) = shape.distance(x);
-                assert!((vec3::norm(n) - 1.0).abs() < 1e-9, "{shape:?} {x:?}");
-                if d > 0.0 {
-                    // Walking back along the normal lands on the surface.
-                    let on = vec3::add_scaled(x, n, -d);
-                    assert!(shape.distance(on).0.abs() < 1e-9, "{shape:?} {x:?}");
-                }
-                let h = 1e-6;
-                let slope: f64 = (0..3)
-                    .map(|a| {
-                        let mut y = x;
-                        y[a] += h;
-                        ((shape.distance(y).0 - d) / h).powi(2)
-                    })
-                    .sum();
-                assert!((slope - 1.0).abs() < 1e-3 || d.abs() < 1e-4 || d < 0.0, "{shape:?} {x:?} {slope}");
-            }
-        }
-    }
-
-    #[test]
     fn contact_modes_follow_coulomb_and_corners_come_to_rest() {
-        let up = Contact { node: 0, mode: Mode::Separate, melt_sticks: true, friction: 0.5, normal: [0.0, 0.0, 1.0] };
+        let up = Contact {
+            node: 0,
+            collider: 0,
+            mode: Mode::Separate,
+            melt_sticks: true,
+            friction: 0.5,
+            normal: [0.0, 0.0, 1.0],
+            velocity: [0.0; 3],
+        };
         assert_eq!(up.apply([1.0, 0.0, 2.0], 0.0), [1.0, 0.0, 2.0]);
         assert_eq!(up.apply([1.0, 0.0, -1.0], 0.0), [0.5, 0.0, 0.0]);
         assert_eq!(up.apply([1.0, 0.0, -3.0], 0.0), [0.0; 3]);
@@ -246,5 +229,41 @@ mod tests {
         let c = Contact { friction: 0.0, normal: [0.98, 0.0, 0.199], ..up };
         let d = Contact { friction: 0.0, normal: [-0.98, 0.0, 0.199], ..up };
         assert_eq!(apply_contacts(&[c, d], [0.0, 0.0, -1.0], 0.0), [0.0; 3]);
+    }
+
+    #[test]
+    fn moving_obstacles_are_obstacles_at_rest_seen_from_them() {
+        let normal = [0.6, 0.0, 0.8];
+        let still = Contact { node: 0, collider: 0, mode: Mode::Separate, melt_sticks: true, friction: 0.3, normal, velocity: [0.0; 3] };
+        let u = [0.5, -0.25, 2.0];
+        for mode in [Mode::Separate, Mode::Slip, Mode::Sticky] {
+            for (v, liquid) in [([1.0, 2.0, -3.0], 0.0), ([1.0, 2.0, 3.0], 0.0), ([1.0, 2.0, -3.0], 0.9)] {
+                let still = Contact { mode, ..still };
+                let moving = Contact { velocity: u, ..still };
+                let (a, b) = (still.apply(v, liquid), moving.apply(vec3::add(v, u), liquid));
+                assert!(vec3::norm(vec3::sub(vec3::add(a, u), b)) < 1e-6, "{mode:?}");
+            }
+        }
+        // A piston pushes material along the floor that holds it as well.
+        let floor = Contact { normal: [0.0, 0.0, 1.0], friction: 0.0, ..still };
+        let piston = Contact { normal: [1.0, 0.0, 0.0], friction: 0.0, velocity: [0.2, 0.0, 0.0], ..still };
+        assert_eq!(apply_contacts(&[floor, piston], [0.0, 0.1, -1.0], 0.0), [0.2, 0.1, 0.0]);
+    }
+
+    #[test]
+    fn speeds_bound_the_surface() {
+        use crate::schedule::PoseKey;
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let keys = vec![
+            PoseKey { time: 0.0, translation: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] },
+            PoseKey { time: 1.0, translation: [0.5, 0.0, 0.0], rotation: [half, 0.0, 0.0, half] },
+        ];
+        let bar = Collider { motion: Motion(keys), ..Collider::new(Shape::aligned_box([-1.0, -0.1, -0.1], [1.0, 0.1, 0.1])) };
+        // The tip moves with the pivot and a quarter turn per second at a lever of one metre.
+        let most = bar.speed(0.5, [-9.0; 3], [9.0; 3]);
+        let tip = 0.5 + std::f64::consts::FRAC_PI_2 * 1.01f64.sqrt();
+        assert!(most <= tip + 1e-9 && most > 0.8 * tip, "{most} {tip}");
+        assert_eq!(bar.speed(1.5, [-9.0; 3], [9.0; 3]), 0.0);
+        assert!(Collider { active: vec![[2.0, 3.0]], ..bar }.at(1.0).is_none());
     }
 }

@@ -1,7 +1,8 @@
 //! When something happens and how strongly: intervals, ramps, keyframes, duty cycles (simulation.md §4.7).
 
+use megas_geometry::Shape;
 use megas_math::quat::{self, Quat};
-use megas_math::{Vec3, vec3};
+use megas_math::{Mat3, Vec3, mat3, vec3};
 use serde::{Deserialize, Serialize};
 
 /// A strength over time. The default is "always on at full strength".
@@ -46,19 +47,22 @@ impl Schedule {
 
     /// The value at `time`: from the keyframes where there are any, else `constant`.
     pub fn value(&self, time: f64, constant: f64) -> f64 {
-        let (Some(first), Some(last)) = (self.keyframes.first(), self.keyframes.last()) else {
-            return constant;
-        };
-        if time <= first[0] {
-            return first[1];
-        }
-        let after = self.keyframes.partition_point(|k| k[0] <= time);
-        if after == self.keyframes.len() {
-            return last[1];
-        }
-        let (a, b) = (self.keyframes[after - 1], self.keyframes[after]);
-        a[1] + (b[1] - a[1]) * (time - a[0]) / (b[0] - a[0])
+        interpolate(&self.keyframes, time).unwrap_or(constant)
     }
+}
+
+/// Values over time `[t, value]` with increasing t at `time`: linear between, constant outside; `None` without any.
+pub fn interpolate(keyframes: &[[f64; 2]], time: f64) -> Option<f64> {
+    let (first, last) = (keyframes.first()?, keyframes.last()?);
+    if time <= first[0] {
+        return Some(first[1]);
+    }
+    let after = keyframes.partition_point(|k| k[0] <= time);
+    if after == keyframes.len() {
+        return Some(last[1]);
+    }
+    let (a, b) = (keyframes[after - 1], keyframes[after]);
+    Some(a[1] + (b[1] - a[1]) * (time - a[0]) / (b[0] - a[0]))
 }
 
 /// One key of a rigid motion.
@@ -86,20 +90,107 @@ fn no_rotation() -> Quat<f64> {
 pub struct Motion(pub Vec<PoseKey>);
 
 impl Motion {
-    /// Translation \[m\] and unit rotation at `time`.
-    pub fn pose(&self, time: f64) -> (Vec3<f64>, Quat<f64>) {
+    /// True without keyframes.
+    pub fn is_still(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Place and speed at `time` of a thing that turns about `pivot` \[m\].
+    pub fn at(&self, time: f64, pivot: Vec3<f64>) -> Pose {
         let unit = |q| quat::normalize(q).unwrap_or(no_rotation());
         let keys = &self.0;
         let after = keys.partition_point(|k| k.time <= time);
         match (after.checked_sub(1).map(|i| &keys[i]), keys.get(after)) {
-            (None, None) => ([0.0; 3], no_rotation()),
-            (Some(k), None) | (None, Some(k)) => (k.translation, unit(k.rotation)),
+            (None, None) => Pose::REST,
+            (Some(k), None) | (None, Some(k)) => Pose::new(pivot, k.translation, unit(k.rotation)),
             (Some(a), Some(b)) => {
-                let s = (time - a.time) / (b.time - a.time);
-                (vec3::lerp(a.translation, b.translation, s), quat::slerp(unit(a.rotation), unit(b.rotation), s))
+                let length = b.time - a.time;
+                let (s, from, to) = ((time - a.time) / length, unit(a.rotation), unit(b.rotation));
+                let pose = Pose::new(pivot, vec3::lerp(a.translation, b.translation, s), quat::slerp(from, to, s));
+                Pose {
+                    velocity: vec3::scale(vec3::sub(b.translation, a.translation), length.recip()),
+                    spin: vec3::scale(turn(from, to), length.recip()),
+                    ..pose
+                }
             }
         }
     }
+}
+
+/// The rotation vector that leads from `a` to `b` by the shorter way: axis times angle.
+fn turn(a: Quat<f64>, b: Quat<f64>) -> Vec3<f64> {
+    let q = quat::mul(b, [a[0], -a[1], -a[2], -a[3]]);
+    let q = if q[0] < 0.0 { q.map(|c| -c) } else { q };
+    let axis = [q[1], q[2], q[3]];
+    let sine = vec3::norm(axis);
+    vec3::scale(vec3::normalize_or(axis, [0.0; 3]), 2.0 * sine.atan2(q[0]))
+}
+
+/// A rigid displacement and its rate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    rotation: Mat3<f64>,
+    pivot: Vec3<f64>,
+    /// Where the pivot is now \[m\].
+    place: Vec3<f64>,
+    /// Velocity of the pivot \[m/s\].
+    velocity: Vec3<f64>,
+    /// Angular velocity \[rad/s\].
+    spin: Vec3<f64>,
+    still: bool,
+}
+
+impl Pose {
+    /// No displacement.
+    pub const REST: Self = Self {
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        pivot: [0.0; 3],
+        place: [0.0; 3],
+        velocity: [0.0; 3],
+        spin: [0.0; 3],
+        still: true,
+    };
+
+    fn new(pivot: Vec3<f64>, translation: Vec3<f64>, rotation: Quat<f64>) -> Self {
+        let place = vec3::add(pivot, translation);
+        Self { rotation: quat::to_mat3_unit(rotation), pivot, place, still: false, ..Self::REST }
+    }
+
+    /// Where the material point that is now at `x` was before it was displaced.
+    #[inline]
+    pub fn home(&self, x: Vec3<f64>) -> Vec3<f64> {
+        if self.still { x } else { vec3::add(self.pivot, mat3::tmul_vec(self.rotation, vec3::sub(x, self.place))) }
+    }
+
+    /// Where a point of the undisplaced thing is now.
+    pub fn now(&self, x: Vec3<f64>) -> Vec3<f64> {
+        if self.still { x } else { vec3::add(self.place, mat3::mul_vec(self.rotation, vec3::sub(x, self.pivot))) }
+    }
+
+    /// A direction of the undisplaced thing as it is now.
+    pub fn turned(&self, n: Vec3<f64>) -> Vec3<f64> {
+        if self.still { n } else { mat3::mul_vec(self.rotation, n) }
+    }
+
+    /// Velocity of the thing at `x` \[m/s\].
+    pub fn velocity_at(&self, x: Vec3<f64>) -> Vec3<f64> {
+        vec3::add(self.velocity, vec3::cross(self.spin, vec3::sub(x, self.place)))
+    }
+
+    /// Signed distance of `x` from the displaced `shape` \[m\] and its outward normal.
+    #[inline]
+    pub fn distance(&self, shape: &Shape, x: Vec3<f64>) -> (f64, Vec3<f64>) {
+        if self.still {
+            return shape.distance(x);
+        }
+        let (d, n) = shape.distance(self.home(x));
+        (d, self.turned(n))
+    }
+}
+
+/// True at the times of the intervals `[start, end)`, and always if there are none.
+pub fn active(intervals: &[[f64; 2]], time: f64) -> bool {
+    intervals.is_empty() || intervals.iter().any(|&[start, end]| time >= start && time < end)
 }
 
 #[cfg(test)]
@@ -131,10 +222,29 @@ mod tests {
             PoseKey { time: 0.0, translation: [0.0; 3], rotation: no_rotation() },
             PoseKey { time: 2.0, translation: [2.0, 0.0, 0.0], rotation: [half, 0.0, 0.0, half] },
         ]);
-        let (t, q) = m.pose(1.0);
-        assert_eq!(t, [1.0, 0.0, 0.0]);
-        assert!((q[0] - (std::f64::consts::FRAC_PI_8).cos()).abs() < 1e-12);
-        assert_eq!(m.pose(9.0).0, [2.0, 0.0, 0.0]);
-        assert_eq!(Motion::default().pose(1.0).0, [0.0; 3]);
+        // The pivot moves at 1 m/s while the thing turns by a quarter in two seconds.
+        let pose = m.at(1.0, [0.0, 5.0, 0.0]);
+        assert_eq!(pose.now([0.0, 5.0, 0.0]), [1.0, 5.0, 0.0]);
+        let tip = pose.now([1.0, 5.0, 0.0]);
+        assert!(vec3::norm(vec3::sub(tip, [1.0 + half, 5.0 + half, 0.0])) < 1e-12);
+        assert!(vec3::norm(vec3::sub(pose.home(tip), [1.0, 5.0, 0.0])) < 1e-12);
+        let h = 1e-6;
+        let moved = vec3::scale(vec3::sub(m.at(1.0 + h, [0.0, 5.0, 0.0]).now([1.0, 5.0, 0.0]), tip), 1.0 / h);
+        assert!(vec3::norm(vec3::sub(moved, pose.velocity_at(tip))) < 1e-5);
+        let late = m.at(9.0, [0.0; 3]);
+        assert_eq!((late.now([0.0; 3]), late.velocity_at([1.0; 3])), ([2.0, 0.0, 0.0], [0.0; 3]));
+        assert_eq!(Motion::default().at(1.0, [3.0; 3]), Pose::REST);
+    }
+
+    #[test]
+    fn distances_move_with_the_thing() {
+        let shape = Shape::Capsule { a: [1.0, 0.0, 0.0], b: [2.0, 1.0, 0.0], radius: 0.3 };
+        let q = quat::from_axis_angle(vec3::normalize_or([1.0, 2.0, 3.0], [1.0, 0.0, 0.0]), 0.7);
+        let pose = Motion(vec![PoseKey { time: 0.0, translation: [0.1, -0.2, 0.3], rotation: q }]).at(0.0, shape.pivot());
+        let x = [0.4, 0.9, -0.6];
+        let (d, n) = pose.distance(&shape, pose.now(x));
+        assert!((shape.distance(x).0 - d).abs() < 1e-12);
+        assert!(pose.distance(&shape, vec3::add_scaled(pose.now(x), n, -d)).0.abs() < 1e-12);
+        assert!(active(&[], 3.0) && active(&[[1.0, 2.0], [3.0, 4.0]], 3.5) && !active(&[[1.0, 2.0]], 2.0));
     }
 }

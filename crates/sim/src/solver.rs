@@ -2,6 +2,7 @@
 
 mod export;
 mod report;
+mod walls;
 
 use megas_model::Points;
 use rayon::prelude::*;
@@ -13,10 +14,11 @@ use crate::mechanics::{Mechanics, Report, Settings};
 use crate::particles::{ParticleError, Particles};
 use crate::phase::{PhaseOptions, PhaseRule, scale_deviator};
 use crate::source::HeatSource;
-use crate::thermal::{Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver, Wall};
+use crate::thermal::{Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver};
 
 pub use export::Checkpoint;
 pub use report::{FrameReport, Totals, repaired};
+use walls::Walls;
 
 /// Coupling steps after a failure during which the substep stays halved (§9.3).
 const CAUTIOUS_STEPS: u32 = 20;
@@ -38,8 +40,6 @@ pub struct SolverConfig {
     pub sources: Vec<HeatSource>,
     /// Colliders, in the order in which they act.
     pub colliders: Vec<Collider>,
-    /// Temperature of each collider \[K\]; `None` takes no heat.
-    pub collider_temperature: Vec<Option<f32>>,
     /// Gravity \[m/s²\].
     pub gravity: [f64; 3],
     /// Temperature at which enthalpies are zero: the surroundings \[K\].
@@ -107,7 +107,7 @@ pub struct Solver {
     mechanics: Mechanics,
     thermal: ThermalSolver,
     rules: Vec<PhaseRule>,
-    walls: Option<Vec<Wall>>,
+    walls: Option<Walls>,
     totals: Totals,
     frame: u64,
     /// Coupling steps left with a halved substep, and by how much it is halved.
@@ -148,7 +148,7 @@ impl Solver {
         particles.sort();
         let settings = Settings { gravity: config.gravity, ..Settings::default() };
         let mechanics = Mechanics::new(&config.grid, settings, config.colliders.clone());
-        let walls = thermal_walls(&config);
+        let walls = Walls::new(&config.grid, &config.colliders);
         Ok(Self {
             particles,
             mechanics,
@@ -264,6 +264,7 @@ impl Solver {
         let backup = self.particles.clone();
         let mut failures = 0;
         loop {
+            self.mechanics.time = time;
             let (found, step) = self.substeps(dt)?;
             let broken = found.repairs.non_finite > 0;
             // Speeds beyond half a cell per substep are a symptom of a step that is too long; give it the same chances, but
@@ -346,7 +347,9 @@ impl Solver {
             h: &mut p.enthalpy,
             grad_t: &mut p.temperature_gradient,
         };
-        Ok(self.thermal.step(&mut points, dt, time, &self.config.sources, self.walls.as_deref())?)
+        // Obstacles are where the points are: at the end of the step.
+        let walls = self.walls.as_mut().map(|w| w.at(&self.config.grid, &self.config.colliders, time + dt));
+        Ok(self.thermal.step(&mut points, dt, time, &self.config.sources, walls)?)
     }
 
     /// Laws from temperatures (§5.4–5.6).
@@ -380,25 +383,4 @@ impl Solver {
             p.set_elastic(i, after);
         }
     }
-}
-
-/// Nodes inside colliders, for the heat.
-fn thermal_walls(config: &SolverConfig) -> Option<Vec<Wall>> {
-    if config.colliders.is_empty() {
-        return None;
-    }
-    let grid = &config.grid;
-    let node_wall = |index: usize| {
-        let x = grid.position(grid.node(index));
-        for (k, c) in config.colliders.iter().enumerate() {
-            if c.shape.distance(x).0 < 0.0 {
-                return match config.collider_temperature.get(k).copied().flatten() {
-                    Some(t) => Wall::Fixed(t),
-                    None => Wall::Adiabatic,
-                };
-            }
-        }
-        Wall::Open
-    };
-    Some((0..grid.len()).into_par_iter().map(node_wall).collect())
 }

@@ -5,28 +5,24 @@ pub(crate) mod terms;
 
 use serde::{Deserialize, Serialize};
 
-pub use crate::region::Region;
+pub use crate::region::{Region, Shape};
 pub use crate::schedule::{Motion, Schedule};
 
 /// Stefan–Boltzmann constant \[W/(m²·K⁴)\].
 pub const STEFAN_BOLTZMANN: f64 = 5.670_374_419e-8;
 
 /// Something that heats or cools. All numbers SI, simulator axes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct HeatSource {
     /// Name for reports.
-    #[serde(default)]
     pub name: String,
     /// Where.
     pub region: Region,
     /// What.
     pub kind: SourceKind,
     /// When and how strongly.
-    #[serde(default)]
     pub schedule: Schedule,
     /// Rigid motion of the region; ignored by regions that follow a body.
-    #[serde(default)]
     pub motion: Motion,
 }
 

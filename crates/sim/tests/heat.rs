@@ -3,7 +3,7 @@
 use megas_math::rng::Rng;
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
-use megas_sim::source::{Film, HeatSource, Motion, Region, Schedule, SourceKind};
+use megas_sim::source::{Film, HeatSource, Motion, Region, Schedule, Shape, SourceKind};
 use megas_sim::thermal::{AirModel, Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver, Wall};
 
 fn wax() -> Material {
@@ -115,7 +115,7 @@ fn result_does_not_depend_on_threads() {
             let mut cloud = two_bodies(&solver, &materials, [300.0, 360.0]);
             let sources = [
                 source(Region::Surface(Some(0)), SourceKind::Flux { watts_per_m2: 2e4 }),
-                source(Region::Sphere { center: [0.05; 3], radius: 0.02 }, SourceKind::Temperature { kelvin: 400.0 }),
+                source(Shape::Sphere { center: [0.05; 3], radius: 0.02 }.into(), SourceKind::Temperature { kelvin: 400.0 }),
             ];
             let mut audits = Vec::new();
             for _ in 0..20 {

@@ -74,7 +74,7 @@ fn cube(cells: usize, temperature: f32) -> (Grid, Points, Collider) {
         points.flags.push(FLAG_INTERNAL);
         points.id.push(i as u32);
     }
-    let floor = Collider { offset: 0.0, ..Collider::new(Shape::Plane { point: [0.0, 0.0, 10.0 * spacing], normal: [0.0, 0.0, 1.0] }) };
+    let floor = Collider { offset: 0.0, ..Collider::new(Shape::HalfSpace { point: [0.0, 0.0, 10.0 * spacing], normal: [0.0, 0.0, 1.0] }) };
     (grid, points, floor)
 }
 
@@ -84,7 +84,6 @@ fn config(grid: Grid, material: Material, sources: Vec<HeatSource>) -> SolverCon
         materials: vec![material],
         sources,
         colliders: Vec::new(),
-        collider_temperature: Vec::new(),
         gravity: [0.0, 0.0, -9.81],
         ambient: 293.15,
         thermal: ThermalOptions::default(),
@@ -162,12 +161,12 @@ fn determinism() -> Outcome {
     let (grid, points, floor) = cube(8, 299.0);
     let lamp = HeatSource {
         name: String::new(),
-        region: Region::Sphere { center: [0.022, 0.028, 0.034], radius: 0.014 },
+        region: Shape::Sphere { center: [0.022, 0.028, 0.034], radius: 0.014 }.into(),
         kind: SourceKind::Flux { watts_per_m2: 4e6 },
         schedule: Schedule::default(),
         motion: Motion::default(),
     };
-    let setup = SolverConfig { colliders: vec![floor], collider_temperature: vec![None], ..config(grid, wax(), vec![lamp]) };
+    let setup = SolverConfig { colliders: vec![floor], ..config(grid, wax(), vec![lamp]) };
     let frames = 20;
     let run = |threads: usize, restart: Option<u64>| -> Option<(u64, f64)> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()?;

@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 
 use megas_math::rng::Rng;
 use megas_sim::grid::Grid;
-use megas_sim::source::{HeatSource, Motion, Region, Schedule, SourceKind};
+use megas_sim::source::{HeatSource, Motion, Schedule, Shape, SourceKind};
 use megas_sim::thermal::{AirModel, Audit, ThermalOptions, ThermalSolver, Transfer};
 
 use crate::{Case, Outcome, Plot, Row, Tier};
@@ -85,7 +85,7 @@ fn conservation() -> Outcome {
         }
         let source = HeatSource {
             name: String::new(),
-            region: Region::Sphere { center: [0.16; 3], radius: 0.06 },
+            region: Shape::Sphere { center: [0.16; 3], radius: 0.06 }.into(),
             kind: SourceKind::Power { watts: 1e4 },
             schedule: Schedule::default(),
             motion: Motion::default(),

@@ -1,7 +1,7 @@
 //! V26–V37 and the mechanics of V45: motion, elasticity, flow, friction, determinism (simulation.md §8.4, §8.6).
 
 use megas_math::{Mat3, mat3, vec3};
-use megas_sim::collider::{Collider, Mode, Shape};
+use megas_sim::collider::{Collider, Shape};
 use megas_sim::grid::Grid;
 use megas_sim::mechanics::{Mechanics, Settings, Wall, material_point};
 use megas_sim::particles::{HENCKY, Particles};
@@ -336,7 +336,7 @@ fn slide(shape: Shape, friction: f64, gravity: [f64; 3], frame: Mat3<f64>, secon
         p.set_position(i, mat3::mul_vec(frame, x));
     }
     let down = mat3::column(frame, 0);
-    let collider = Collider { shape, mode: Mode::Separate, friction, offset: 0.0, melt_sticks: false };
+    let collider = Collider { friction, offset: 0.0, melt_sticks: false, ..Collider::new(shape) };
     // Flat enough not to tip over. It falls half a cell until its nodes feel the slope; drag lets it settle without bouncing,
     // and the acceleration is that of the part without drag.
     let mut m = Mechanics::new(&grid, Settings { gravity, drag: 20.0, ..Settings::default() }, vec![collider]);
@@ -364,12 +364,12 @@ fn friction() -> Outcome {
     let tilted = [[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]];
     let pull = [GRAVITY * sin, 0.0, -GRAVITY * cos];
     let weight = [0.0, 0.0, -GRAVITY];
-    let plane = Shape::Plane { point: [0.0; 3], normal: [0.0, 0.0, 1.0] };
-    let slope = Shape::Plane { point: [0.0; 3], normal: [sin, 0.0, cos] };
-    let table = Shape::Box { min: [-2.0, -2.0, -1.0], max: [4.0, 2.0, 0.0] };
+    let plane = Shape::HalfSpace { point: [0.0; 3], normal: [0.0, 0.0, 1.0] };
+    let slope = Shape::HalfSpace { point: [0.0; 3], normal: [sin, 0.0, cos] };
+    let table = Shape::aligned_box([-2.0, -2.0, -1.0], [4.0, 2.0, 0.0]);
     let ball = Shape::Sphere { center: [0.0, 0.0, -2000.0], radius: 2000.0 };
     let exact = GRAVITY * (sin - 0.3 * cos);
-    let flat = slide(plane, 0.3, pull, level, 0.3).0;
+    let flat = slide(plane.clone(), 0.3, pull, level, 0.3).0;
     let mut rows = vec![
         Row::relative("plane, μ 0.3: acceleration [m/s²]", exact, flat, 0.05),
         Row::relative("tilted plane, μ 0.3: acceleration [m/s²]", exact, slide(slope, 0.3, weight, tilted, 0.3).0, 0.05),
@@ -388,7 +388,7 @@ fn determinism() -> Outcome {
             let grid = Grid { origin: [0.0; 3], spacing: 0.01, nodes: [24, 24, 24] };
             let mut p = block(&grid, [0.07, 0.07, 0.05], [0.16, 0.16, 0.14], 1000.0, 3e4, 8e4);
             p.viscosity.fill(1.0);
-            let floor = Collider::new(Shape::Plane { point: [0.0, 0.0, 0.05], normal: [0.0, 0.0, 1.0] });
+            let floor = Collider::new(Shape::HalfSpace { point: [0.0, 0.0, 0.05], normal: [0.0, 0.0, 1.0] });
             let mut m = Mechanics::new(&grid, Settings::default(), vec![floor]);
             for step in 0..200 {
                 // A front that melts the block from below.

@@ -24,8 +24,7 @@ pub fn true_surface(capture: &Path) -> Result<Option<MeshDistance>, Failure> {
         return Ok(None);
     }
     let mesh = read_mesh_ply(&path).map_err(|e| Failure::Input(e.to_string()))?;
-    let surface = MeshDistance::new(&mesh);
-    surface.map(Some).ok_or_else(|| Failure::Input(format!("{}: the mesh has no usable triangles", path.display())))
+    MeshDistance::new(&mesh).map(Some).map_err(|e| Failure::Input(format!("{}: {e}", path.display())))
 }
 
 /// Measures the Gaussians of the object: those in `region`, or all. `w_max` holds the largest blend weights over the

@@ -20,7 +20,7 @@ use megas_model::FLAG_ESCAPED;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::collider::Collider;
+use crate::collider::{Collider, Placed, placed};
 use crate::grid::Grid;
 use crate::particles::Particles;
 pub use constitutive::material_point;
@@ -151,6 +151,8 @@ pub struct Mechanics {
     grid: Grid,
     /// Constants; may be changed between batches.
     pub settings: Settings,
+    /// Time at which the next batch starts \[s\]: where the obstacles are. Every batch moves it on.
+    pub time: f64,
     colliders: Vec<Collider>,
     nodes: Nodes,
     level: Level,
@@ -160,7 +162,7 @@ pub struct Mechanics {
 impl Mechanics {
     /// A solver on `grid`, which must be the grid of the particles.
     pub fn new(grid: &Grid, settings: Settings, colliders: Vec<Collider>) -> Self {
-        Self { grid: *grid, settings, colliders, nodes: Nodes::default(), level: Level::new(), least_mass: 0.0 }
+        Self { grid: *grid, settings, time: 0.0, colliders, nodes: Nodes::default(), level: Level::new(), least_mass: 0.0 }
     }
 
     /// The obstacles, in order of precedence.
@@ -184,12 +186,14 @@ impl Mechanics {
             let mut left = steps;
             while left > 0 {
                 particles.sort();
-                self.nodes.rebuild(&self.grid, particles.blocks(), &self.colliders);
+                let now = self.time + (steps - left) as f64 * dt;
+                self.nodes.rebuild(&self.grid, particles.blocks(), &placed(&self.colliders, now));
                 let mut blocks = views(particles);
                 if self.nodes.wants_liquid() {
                     self.find_liquid(&mut blocks);
                 }
-                let (done, found) = self.run_sorted(&mut blocks, left, dt);
+                let limit = left.min(self.steps_until_obstacles_moved(now, left, dt));
+                let (done, found) = self.run_sorted(&mut blocks, limit, dt);
                 drop(blocks);
                 particles.mark_moved();
                 outcome = outcome.merge(found);
@@ -198,6 +202,7 @@ impl Mechanics {
             if self.settings.track_total {
                 push_normals_forward(particles);
             }
+            self.time += steps as f64 * dt;
             outcome.repairs.projected += self.project_out(particles);
             if self.settings.bounds == Bounds::Delete {
                 for i in (0..particles.len()).filter(|&i| particles.flags[i] & FLAG_ESCAPED != 0).collect::<Vec<_>>() {
@@ -210,6 +215,20 @@ impl Mechanics {
             max_speed: f64::from(outcome.speed2).sqrt(),
             volume_ratio: (f64::from(outcome.volume.0), f64::from(outcome.volume.1)),
         }
+    }
+
+    /// Substeps after which an obstacle may have moved by half a node spacing, so that its contacts are out of date.
+    fn steps_until_obstacles_moved(&self, time: f64, left: usize, dt: f64) -> usize {
+        let speed = self.obstacle_speed(time, left as f64 * dt);
+        let steps = if speed > 0.0 { 0.5 * self.grid.spacing / (speed * dt) } else { f64::INFINITY };
+        if steps >= left as f64 { left } else { (steps as usize).max(1) }
+    }
+
+    /// Largest speed of an obstacle's surface inside the grid in the `interval` after `time` \[m/s\].
+    fn obstacle_speed(&self, time: f64, interval: f64) -> f64 {
+        let (lo, hi) = (self.grid.origin, self.grid.position(self.grid.nodes.map(|n| n - 1)));
+        let at = |s: f64| self.colliders.iter().map(|c| c.speed(time + s * interval, lo, hi)).fold(0.0, f64::max);
+        [0.0, 0.5, 1.0].map(at).into_iter().fold(0.0, f64::max)
     }
 
     /// Substeps until `limit` or until points may leave the reach of their tile; at least one.
@@ -307,7 +326,8 @@ impl Mechanics {
     /// Moves points that are deeper than one node spacing inside an obstacle to its surface and removes their inward velocity.
     fn project_out(&self, particles: &mut Particles) -> u64 {
         let mut count = 0;
-        if self.colliders.is_empty() {
+        let colliders = placed(&self.colliders, self.time);
+        if colliders.is_empty() {
             return 0;
         }
         let dx = self.grid.spacing;
@@ -315,18 +335,18 @@ impl Mechanics {
         let reach = 3.0 * 3f64.sqrt() * dx;
         for b in particles.blocks().to_vec() {
             let center = self.grid.position(b.coords.map(|c| c as usize * 4)).map(|x| x + 1.5 * dx);
-            let near: Vec<&Collider> = self.colliders.iter().filter(|c| c.shape.distance(center).0 < reach - dx).collect();
+            let near: Vec<&Placed> = colliders.iter().filter(|c| c.distance(center).0 < reach - dx).collect();
             if near.is_empty() {
                 continue;
             }
             for i in b.start as usize..b.end as usize {
                 for c in &near {
                     let x = particles.position(i);
-                    let (d, n) = c.shape.distance(x);
+                    let (d, n) = c.distance(x);
                     if d < -dx {
                         particles.set_position(i, vec3::add_scaled(x, n, -d));
                         let v: [f64; 3] = vec3::cast(particles.velocity(i));
-                        let inward = vec3::dot(v, n).min(0.0);
+                        let inward = vec3::dot(vec3::sub(v, c.pose.velocity_at(x)), n).min(0.0);
                         particles.set_velocity(i, vec3::cast(vec3::add_scaled(v, n, -inward)));
                         // Tracers lie outside the mass that the contact holds; putting them back is not a repair.
                         count += u64::from(particles.mass[i] > 0.0);

@@ -9,7 +9,7 @@ use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x4, f32x8, f3
 
 use super::transfer::{TILE, TILE_ORIGIN, Tile};
 use super::{Settings, Wall};
-use crate::collider::{Collider, Contact, apply_contacts};
+use crate::collider::{Contact, Placed, apply_contacts};
 use crate::grid::{Grid, PADDING};
 use crate::particles::Block;
 
@@ -52,7 +52,7 @@ pub(crate) struct Nodes {
     /// Node blocks around each block of points, by the same index as [`NodeInfo`].
     pub around: Vec<[u32; 27]>,
     contacts: Vec<Contact>,
-    /// Contacts of every block that was ever active, by block index.
+    /// Contacts with obstacles that never move, of every block that was ever active, by block index.
     known: HashMap<u32, Vec<Contact>>,
     table: Vec<u32>,
 }
@@ -78,8 +78,9 @@ pub(crate) struct GridStep<'a> {
 }
 
 impl Nodes {
-    /// Activates the nodes that the points of `blocks` can reach until the next sort.
-    pub fn rebuild(&mut self, grid: &Grid, blocks: &[Block], colliders: &[Collider]) {
+    /// Activates the nodes that the points of `blocks` can reach until the next sort, with their contacts to `colliders`.
+    pub fn rebuild(&mut self, grid: &Grid, blocks: &[Block], colliders: &[Placed]) {
+        let (fixed, moving): (Vec<&Placed>, Vec<&Placed>) = colliders.iter().partition(|c| c.collider.is_static());
         let dims = grid.blocks();
         self.table.clear();
         self.table.resize(dims.iter().product(), NONE);
@@ -116,9 +117,19 @@ impl Nodes {
             });
             let mut contacts = (0, 0);
             if !colliders.is_empty() {
-                let known = self.known.entry(index as u32).or_insert_with(|| find_contacts(grid, coords, colliders));
-                contacts = (self.contacts.len() as u32, (self.contacts.len() + known.len()) as u32);
-                self.contacts.extend_from_slice(known);
+                let first = self.contacts.len();
+                if !fixed.is_empty() {
+                    self.contacts.extend_from_slice(self.known.entry(index as u32).or_insert_with(|| find_contacts(grid, coords, &fixed)));
+                }
+                let center = grid.position(coords.map(|c| c as usize * SIDE)).map(|x| x + 0.5 * (SIDE - 1) as f64 * grid.spacing);
+                // Half the diagonal of a block.
+                let reach = 0.5 * (SIDE - 1) as f64 * 3f64.sqrt() * grid.spacing;
+                let near: Vec<&Placed> = moving.iter().copied().filter(|c| c.distance(center).0 < reach).collect();
+                if !near.is_empty() {
+                    self.contacts.extend(find_contacts(grid, coords, &near));
+                    self.contacts[first..].sort_by_key(|c| (c.node, c.collider));
+                }
+                contacts = (first as u32, self.contacts.len() as u32);
             }
             self.info.push(NodeInfo { coords, tiles, walls, contacts, liquid: None });
         }
@@ -293,23 +304,12 @@ fn walls(coords: [u32; 3], out: &mut NodeBlock, step: &GridStep) {
 }
 
 /// The nodes of a block that obstacles hold, ordered by node and then obstacle.
-fn find_contacts(grid: &Grid, coords: [u32; 3], colliders: &[Collider]) -> Vec<Contact> {
+fn find_contacts(grid: &Grid, coords: [u32; 3], colliders: &[&Placed]) -> Vec<Contact> {
     let mut found = Vec::new();
     for n in 0..SIDE * SIDE * SIDE {
         let local = [n / 16, n / 4 % 4, n % 4];
         let x = grid.position(std::array::from_fn(|a| coords[a] as usize * SIDE + local[a]));
-        for c in colliders {
-            let (d, normal) = c.shape.distance(x);
-            if d < c.offset * grid.spacing {
-                found.push(Contact {
-                    node: n as u8,
-                    mode: c.mode,
-                    melt_sticks: c.melt_sticks,
-                    friction: c.friction as f32,
-                    normal: normal.map(|v| v as f32),
-                });
-            }
-        }
+        found.extend(colliders.iter().filter_map(|c| c.contact(n as u8, x, grid.spacing)));
     }
     found
 }

@@ -4,7 +4,7 @@ use megas_math::rng::Rng;
 use megas_math::{mat3, vec3};
 
 use super::*;
-use crate::collider::{Mode, Shape};
+use crate::collider::Shape;
 use crate::particles::{FIXED_COROTATED, FLUID, HENCKY};
 use crate::reference::{self, Law, Point};
 
@@ -131,7 +131,7 @@ fn same_bits_for_any_number_of_threads_and_after_a_restart() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let mut p = cloud(3000, 3);
-            let floor = Collider::new(Shape::Plane { point: [0.0, 0.0, 0.12], normal: [0.1, 0.0, 1.0] });
+            let floor = Collider::new(Shape::HalfSpace { point: [0.0, 0.0, 0.12], normal: [0.1, 0.0, 1.0] });
             let mut m = Mechanics::new(&GRID, Settings::default(), vec![floor]);
             for _ in 0..5 {
                 m.run(&mut p, 7, 1e-4);
@@ -288,8 +288,8 @@ fn melt_sticks_where_a_solid_slides() {
         p.law.fill(HENCKY);
         p.yield_stress.fill(f32::INFINITY);
         p.liquid.fill(liquid);
-        let shape = Shape::Plane { point: [0.0, 0.0, 0.1], normal: [0.0, 0.0, 1.0] };
-        let floor = Collider { shape, mode: Mode::Separate, friction: 0.0, offset: 0.0, melt_sticks: true };
+        let shape = Shape::HalfSpace { point: [0.0, 0.0, 0.1], normal: [0.0, 0.0, 1.0] };
+        let floor = Collider { friction: 0.0, offset: 0.0, ..Collider::new(shape) };
         let mut m = Mechanics::new(&GRID, Settings { gravity: [0.0; 3], ..free() }, vec![floor]);
         m.run(&mut p, 1, 1e-4);
         let mut fastest: f32 = 0.0;

@@ -27,7 +27,7 @@ pub struct TimeStep {
     pub dt: f64,
     /// Fastest elastic wave c \[m/s\].
     pub wave_speed: f64,
-    /// Largest speed of a point \[m/s\].
+    /// Largest speed of a point or of an obstacle \[m/s\].
     pub max_speed: f64,
     /// Stiffening χ = 1/σ_min of compressed points, 1–3.
     pub stiffening: f64,
@@ -49,7 +49,7 @@ impl Mechanics {
             (c2, at, a.2.max(b.2), a.3.min(b.3))
         });
         let wave_speed = f64::from(c2).sqrt();
-        let max_speed = f64::from(speed2).sqrt();
+        let max_speed = f64::from(speed2).sqrt().max(self.obstacle_speed(self.time, interval));
         let stiffening = (1.0 / f64::from(stretch2).max(1e-6).sqrt()).clamp(1.0, MAX_STIFFENING);
         let dx = self.grid.spacing;
         let mut dt = interval;

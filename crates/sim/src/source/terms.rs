@@ -98,8 +98,8 @@ impl Terms {
 
     /// χ per active node.
     fn weigh(&mut self, source: &HeatSource, cx: &Context) {
-        let (translation, rotation) = source.motion.pose(cx.time);
-        let region = source.region.moved(translation, rotation);
+        let region = &source.region;
+        let pose = source.motion.at(cx.time, region.pivot());
         let surface = matches!(region, Region::Surface(_));
         // On a surface region the layer itself decides, unless the kind already works per area.
         let layer = surface && !matches!(source.kind, SourceKind::Flux { .. } | SourceKind::Film(_));
@@ -108,7 +108,7 @@ impl Terms {
         self.weight.par_iter_mut().enumerate().for_each(|(slot, w)| {
             *w = match region.object() {
                 Some(id) => (cx.share)(id, slot),
-                None => region.weight(cx.grid.position(cx.network.node(slot)), cx.grid.spacing),
+                None => region.weight(cx.grid.position(cx.network.node(slot)), cx.grid.spacing, &pose),
             };
             if layer {
                 // The measure spreads over two to three nodes across the surface, half of the area at most in one.

@@ -4,14 +4,14 @@
 
 use megas_math::{Vec3, vec3};
 
-use super::bvh::{Bvh, DEPTH, Triangle};
+use crate::bvh::{Bvh, DEPTH, Triangle};
 
 /// A part of the mesh counts as far beyond this many of its radii.
 const FAR: f64 = 2.5;
 
 /// A part of the mesh as seen from afar.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Patch {
+pub(crate) struct Patch {
     /// Area-weighted centre.
     centre: Vec3<f64>,
     /// Sum of `area · normal`.
@@ -21,7 +21,7 @@ pub(super) struct Patch {
 }
 
 /// The patch of every node of the tree.
-pub(super) fn patches(tree: &Bvh) -> Vec<Patch> {
+pub(crate) fn patches(tree: &Bvh) -> Vec<Patch> {
     tree.nodes
         .iter()
         .map(|node| {
@@ -43,7 +43,7 @@ pub(super) fn patches(tree: &Bvh) -> Vec<Patch> {
 }
 
 /// The generalised winding number around `x`.
-pub(super) fn winding(tree: &Bvh, patches: &[Patch], x: Vec3<f64>) -> f64 {
+pub(crate) fn winding(tree: &Bvh, patches: &[Patch], x: Vec3<f64>) -> f64 {
     let mut angle = 0.0;
     let mut stack = [0u32; DEPTH];
     let mut top = usize::from(!tree.nodes.is_empty());
@@ -68,7 +68,7 @@ pub(super) fn winding(tree: &Bvh, patches: &[Patch], x: Vec3<f64>) -> f64 {
 }
 
 /// Half the cross product of two edges: area times normal.
-pub(super) fn area_normal(t: &Triangle) -> Vec3<f64> {
+pub(crate) fn area_normal(t: &Triangle) -> Vec3<f64> {
     vec3::scale(vec3::cross(vec3::sub(t[1], t[0]), vec3::sub(t[2], t[0])), 0.5)
 }
 

@@ -6,14 +6,14 @@ use megas_math::{Vec3, vec3};
 const LEAF: usize = 4;
 
 /// Deepest tree that the traversals have room for; a median split reaches half of it with four billion triangles.
-pub(super) const DEPTH: usize = 64;
+pub(crate) const DEPTH: usize = 64;
 
 /// A triangle by its corners.
-pub(super) type Triangle = [Vec3<f64>; 3];
+pub(crate) type Triangle = [Vec3<f64>; 3];
 
 /// A box and what is in it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Node {
+pub(crate) struct Node {
     pub low: Vec3<f64>,
     pub high: Vec3<f64>,
     /// Range of [`Bvh::triangles`] below this node.
@@ -38,7 +38,7 @@ impl Node {
 
 /// The tree. Its layout depends on the triangles alone.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Bvh {
+pub(crate) struct Bvh {
     /// Parents before their children; the root is first.
     pub nodes: Vec<Node>,
     /// Triangles in the order of the leaves.
@@ -82,7 +82,7 @@ impl Bvh {
 }
 
 /// Smallest box of points.
-pub(super) fn bounds(points: impl Iterator<Item = Vec3<f64>>) -> (Vec3<f64>, Vec3<f64>) {
+pub(crate) fn bounds(points: impl Iterator<Item = Vec3<f64>>) -> (Vec3<f64>, Vec3<f64>) {
     points.fold(([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]), |(low, high), x| (vec3::min(low, x), vec3::max(high, x)))
 }
 

@@ -4,18 +4,47 @@ use megas_math::{Vec3, rng::hash01, vec3};
 use megas_model::Mesh;
 use rayon::prelude::*;
 
-use super::bvh::{Bvh, DEPTH, Triangle, bounds};
-use super::winding::{Patch, area_normal, patches, winding};
+use crate::bvh::{Bvh, DEPTH, Triangle, bounds};
+use crate::winding::{Patch, area_normal, patches, winding};
 
 /// The point of a mesh that is nearest to a given one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
     /// The point.
     pub point: Vec3<f64>,
-    /// Distance to it \[scene units\].
+    /// Distance to it \[mesh units\].
     pub distance: f64,
     /// Triangle it lies on, an index into [`Mesh::triangles`].
     pub triangle: u32,
+}
+
+/// Why a mesh has no distance.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MeshError {
+    /// Nothing to measure from.
+    #[error("the mesh has no triangles; export it with faces, not as points")]
+    Empty,
+    /// A triangle names a vertex that does not exist.
+    #[error("triangle {triangle} names vertex {vertex}, but there are {vertices}; export the mesh again")]
+    Vertex {
+        /// Index of the triangle, from 0.
+        triangle: usize,
+        /// Index of the vertex.
+        vertex: u32,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// A vertex is not a place.
+    #[error("vertex {vertex} is {position:?}, not a finite position; export the mesh again")]
+    NotFinite {
+        /// Index of the vertex.
+        vertex: u32,
+        /// What stands there.
+        position: [f32; 3],
+    },
+    /// The grid for its distances would be too large, or the mesh has no extent.
+    #[error("{0}")]
+    Grid(String),
 }
 
 /// A mesh prepared for many queries; all of them may run in parallel. The surface should be closed and consistently
@@ -28,24 +57,57 @@ pub struct MeshDistance {
 }
 
 impl MeshDistance {
-    /// `None` for a mesh without triangles or with corners that are missing or not finite.
-    pub fn new(mesh: &Mesh) -> Option<Self> {
-        let corner = |&i: &u32| Some(vec3::cast::<f32, f64>(*mesh.positions.get(i as usize)?)).filter(|x| x.iter().all(|v| v.is_finite()));
-        let triangles: Option<Vec<Triangle>> = mesh.triangles.iter().map(|[a, b, c]| Some([corner(a)?, corner(b)?, corner(c)?])).collect();
-        let triangles = triangles.filter(|t| !t.is_empty())?;
-        let tree = Bvh::new(&triangles);
-        let (low, high) = bounds(triangles.iter().flatten().copied());
-        Some(Self { patches: patches(&tree), tree, diagonal: vec3::norm(vec3::sub(high, low)) })
+    /// Fails for a mesh without triangles or with corners that are missing or not finite.
+    pub fn new(mesh: &Mesh) -> Result<Self, MeshError> {
+        let corner = |triangle: usize, vertex: u32| match mesh.positions.get(vertex as usize) {
+            None => Err(MeshError::Vertex { triangle, vertex, vertices: mesh.positions.len() }),
+            Some(x) if x.iter().all(|v| v.is_finite()) => Ok(vec3::cast::<f32, f64>(*x)),
+            Some(&position) => Err(MeshError::NotFinite { vertex, position }),
+        };
+        let triangles = mesh.triangles.iter().enumerate().map(|(k, t)| Ok([corner(k, t[0])?, corner(k, t[1])?, corner(k, t[2])?]));
+        Self::from_triangles(&triangles.collect::<Result<Vec<Triangle>, _>>()?)
     }
 
-    /// Diagonal L of the box of the surface \[scene units\].
+    /// From triangles by their corners, which must be finite.
+    pub(crate) fn from_triangles(triangles: &[Triangle]) -> Result<Self, MeshError> {
+        if triangles.is_empty() {
+            return Err(MeshError::Empty);
+        }
+        let tree = Bvh::new(triangles);
+        let (low, high) = bounds(triangles.iter().flatten().copied());
+        Ok(Self { patches: patches(&tree), tree, diagonal: vec3::norm(vec3::sub(high, low)) })
+    }
+
+    /// Smallest and largest corner of the box of the surface.
+    pub fn bounds(&self) -> (Vec3<f64>, Vec3<f64>) {
+        (self.tree.nodes[0].low, self.tree.nodes[0].high)
+    }
+
+    /// All triangles by their corners, in no particular order.
+    pub(crate) fn triangles(&self) -> &[Triangle] {
+        &self.tree.triangles
+    }
+
+    /// Diagonal L of the box of the surface \[mesh units\].
     pub fn diagonal(&self) -> f64 {
         self.diagonal
     }
 
     /// The nearest point of the surface.
     pub fn closest(&self, x: Vec3<f64>) -> Closest {
-        let mut best = (f64::INFINITY, self.tree.triangles[0][0], 0);
+        let (d2, point, k) = self.nearest(x, f64::INFINITY);
+        Closest { point, distance: d2.sqrt(), triangle: self.tree.index[k as usize] }
+    }
+
+    /// Distance to the surface if it is less than `reach`.
+    pub fn distance_within(&self, x: Vec3<f64>, reach: f64) -> Option<f64> {
+        let d2 = self.nearest(x, reach * reach).0;
+        (d2 < reach * reach).then(|| d2.sqrt())
+    }
+
+    /// Squared distance, point and place in the tree of the nearest triangle nearer than `√limit2`; `limit2` if there is none.
+    fn nearest(&self, x: Vec3<f64>, limit2: f64) -> (f64, Vec3<f64>, u32) {
+        let mut best = (limit2, self.tree.triangles[0][0], 0);
         let mut stack = [(0u32, 0.0f64); DEPTH];
         stack[0] = (0, self.tree.nodes[0].distance2(x));
         let mut top = 1;
@@ -72,7 +134,7 @@ impl MeshDistance {
                 top += 2;
             }
         }
-        Closest { point: best.1, distance: best.0.sqrt(), triangle: self.tree.index[best.2 as usize] }
+        best
     }
 
     /// Generalised winding number: ±1 inside, 0 outside.
@@ -295,12 +357,12 @@ mod tests {
     #[test]
     fn broken_meshes_are_refused() {
         let mut mesh = sphere(4);
-        assert!(MeshDistance::new(&Mesh::default()).is_none());
+        assert_eq!(MeshDistance::new(&Mesh::default()).unwrap_err(), MeshError::Empty);
         mesh.triangles[3][1] = 10_000;
-        assert!(MeshDistance::new(&mesh).is_none());
+        assert!(MeshDistance::new(&mesh).is_err());
         let mut mesh = sphere(4);
         mesh.positions[2][0] = f32::NAN;
-        assert!(MeshDistance::new(&mesh).is_none());
+        assert!(MeshDistance::new(&mesh).is_err());
     }
 
     /// Run with `--ignored --nocapture` to see the cost.
