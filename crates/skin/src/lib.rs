@@ -1,9 +1,11 @@
 //! Deformed points to a renderable surface: covariance push-forward, polar rotation for appearance, rebase, needle clamp
-//! and composition with the static background (first slice of the design's chapters 7 and 8 on rendering).
+//! and the implicit surface between oriented samples (splatting.md §7.4, §8).
 
 mod bake;
 mod clamp;
+pub mod imls;
 mod push;
+mod rows;
 mod skin;
 
 pub use bake::bake_splats;
