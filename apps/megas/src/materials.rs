@@ -57,6 +57,8 @@ pub fn list() -> Vec<Value> {
             "melt_consistency_pa_sn": p.melt_consistency_pa_sn,
             "melt_flow_index": p.melt_flow_index,
             "arrhenius_k": p.arrhenius_k,
+            "law": p.law.name(),
+            "sag_ratio": p.sag_ratio,
         })
     };
     material_presets().iter().map(one).collect()

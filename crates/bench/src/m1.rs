@@ -50,6 +50,10 @@ enum Mat {
     Fluid,
     Jelly,
     Hb,
+    NeoHookean,
+    VonMises,
+    Sand,
+    Water,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
@@ -110,10 +114,17 @@ fn scene(args: &Args) -> Result<(Particles, Grid), String> {
     let (shear, bulk) = Material::moduli(YOUNG, POISSON);
     let material = Material {
         name: "m1".into(),
-        law: if args.mat == Mat::Jelly { Law::FixedCorotated } else { Law::Hencky },
+        law: match args.mat {
+            Mat::Jelly => Law::FixedCorotated,
+            Mat::Hb => Law::Hencky,
+            Mat::NeoHookean => Law::NeoHookean,
+            Mat::VonMises => Law::VonMises,
+            Mat::Sand => Law::DruckerPrager,
+            Mat::Fluid | Mat::Water => Law::Fluid,
+        },
         density: DENSITY,
         shear_modulus: shear,
-        bulk_modulus: if args.mat == Mat::Fluid { YOUNG } else { bulk },
+        bulk_modulus: if matches!(args.mat, Mat::Fluid | Mat::Water) { YOUNG } else { bulk },
         solid_yield_stress: 50.0,
         melt_shear_modulus: shear,
         melt: Rheology { yield_stress: 0.0, consistency: 5.0, index: 1.0 },
@@ -128,11 +139,21 @@ fn scene(args: &Args) -> Result<(Particles, Grid), String> {
         solidus: f64::INFINITY,
         liquidus: f64::INFINITY,
         phase_mode: PhaseMode::Mushy,
+        hardening: 0.1 * YOUNG,
+        friction_angle: 33f64.to_radians(),
+        fluid_viscosity: 0.001,
+        ..Material::default()
     };
     let mut particles = Particles::new(&points, &grid, &[material]).map_err(|e| e.to_string())?;
-    particles.viscosity.fill(10.0);
+    if args.mat == Mat::Hb {
+        particles.viscosity.fill(10.0);
+    }
     if args.mat == Mat::Fluid {
+        // The peers' fluid: pressure K (1 − J), without viscosity, in tension too.
         particles.law.fill(FLUID);
+        particles.viscosity.fill(0.0);
+        particles.exponent.fill(-1.0);
+        particles.law_constant.fill(f32::INFINITY);
     }
     for i in 0..n {
         let y = particles.position(i)[1];

@@ -5,7 +5,8 @@ use std::collections::HashMap;
 use megas_math::{quat, vec3};
 use megas_model::Points;
 use megas_scene::{
-    AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, MotionKey, Object, Placement, Quantity, Region, ResolvedMaterial, Scene, Severity,
+    AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, HeatTransfer, MomentumTransfer, MotionKey, Object, Placement, Quantity, Region,
+    ResolvedMaterial, Scene, Severity,
 };
 use megas_sim::collider::SCENE_CONTACT_OFFSET;
 use megas_sim::grid::Grid;
@@ -14,9 +15,10 @@ use megas_sim::particles::MAX_NODES;
 use megas_sim::phase::PhaseOptions;
 use megas_sim::region;
 use megas_sim::schedule::{Duty, Motion, PoseKey, Schedule};
-use megas_sim::solver::{Solver, SolverConfig};
+use megas_sim::solver::{Coupling, Solver, SolverConfig};
 use megas_sim::source::{Film, HeatSource, SourceKind};
-use megas_sim::thermal::{AirModel, ThermalOptions, natural_film_coefficient};
+use megas_sim::table::{Table, TableError, Tables};
+use megas_sim::thermal::{AirModel, ThermalOptions, Transfer, natural_film_coefficient};
 
 use crate::Failure;
 use crate::body::{Bodies, BodyMeta, scene_objects, total_height};
@@ -120,12 +122,25 @@ pub fn resolve_material(scene: &Scene, object: &Object, height_m: f64) -> Result
 }
 
 /// The same material for the simulator.
-pub fn sim_material(m: &ResolvedMaterial) -> Material {
-    Material {
+pub fn sim_material(m: &ResolvedMaterial) -> Result<Material, Failure> {
+    let bad = |e: TableError| Failure::Input(format!("material '{}': a table over temperature: {e}", m.name));
+    let tables = Tables {
+        stiffness: Table::linear(&m.tables.stiffness).map_err(bad)?,
+        solid_yield: Table::linear(&m.tables.solid_yield).map_err(bad)?,
+        melt_yield: Table::log_linear(&m.tables.melt_yield).map_err(bad)?,
+        melt_consistency: Table::log_linear(&m.tables.melt_consistency).map_err(bad)?,
+        conductivity: Table::linear(&m.tables.conductivity).map_err(bad)?,
+    };
+    Ok(Material {
         name: m.name.clone(),
         law: match m.law {
             megas_scene::Law::Hencky => Law::Hencky,
             megas_scene::Law::FixedCorotated => Law::FixedCorotated,
+            megas_scene::Law::NeoHookean => Law::NeoHookean,
+            megas_scene::Law::NeoHookeanSplit => Law::NeoHookeanSplit,
+            megas_scene::Law::VonMises => Law::VonMises,
+            megas_scene::Law::DruckerPrager => Law::DruckerPrager,
+            megas_scene::Law::Fluid => Law::Fluid,
         },
         density: m.density,
         shear_modulus: m.shear_modulus,
@@ -148,7 +163,13 @@ pub fn sim_material(m: &ResolvedMaterial) -> Material {
             megas_scene::PhaseMode::Binary => PhaseMode::Binary,
             megas_scene::PhaseMode::InitMelted => PhaseMode::InitMelted,
         },
-    }
+        hardening: m.hardening,
+        friction_angle: m.friction_angle,
+        fluid_viscosity: m.fluid_viscosity,
+        melt_density: m.melt_density,
+        expansion: m.expansion,
+        tables,
+    })
 }
 
 /// Seconds at nature's pace until what the sources reach has melted (simulation.md §3.8, §10.3): the heat that the material
@@ -306,20 +327,29 @@ pub fn prepare(scene: &Scene, bodies: &Bodies) -> Result<Prepared, Failure> {
         AirMode::None => AirModel::None,
         AirMode::Film => AirModel::Film(air_film(scene, volume)),
     };
+    let transfer = match scene.heat_transfer() {
+        HeatTransfer::Increments => Transfer::default(),
+        HeatTransfer::Affine => Transfer::AffineOverwrite,
+        HeatTransfer::Pic => Transfer::PicOverwrite,
+    };
     let colliders = crate::colliders::colliders(scene, meta)?;
     let mut config = SolverConfig {
         grid: grid(scene, meta)?,
-        materials: materials.iter().map(sim_material).collect(),
+        materials: materials.iter().map(sim_material).collect::<Result<_, _>>()?,
         sources,
         colliders,
         gravity: [0.0, 0.0, -scene.simulation.gravity_m_s2],
         ambient: scene.ambient_k(),
-        thermal: ThermalOptions { air, ..ThermalOptions::default() },
-        phase: PhaseOptions { delta_t: scene.simulation.hysteresis_k, ..PhaseOptions::default() },
+        thermal: ThermalOptions { air, transfer, ..ThermalOptions::default() },
+        phase: PhaseOptions { delta_t: scene.hysteresis_k(), frozen_stress: scene.simulation.frozen_stress, ..PhaseOptions::default() },
         frame_dt: scene.time.frame_dt_s(),
         coupling_step: scene.simulation.coupling_step_s,
         courant: scene.simulation.courant,
         mechanics: scene.simulation.mechanics,
+        coupling: Coupling {
+            plain_momentum: scene.simulation.momentum_transfer == MomentumTransfer::Pic,
+            heat_every_substep: scene.simulation.heat_every_substep,
+        },
     };
     let melt_time = natural_melt_time(&config, &materials, &bodies.points)?;
     let factor = match scene.clock() {

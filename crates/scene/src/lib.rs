@@ -34,14 +34,16 @@ pub use collider::{Collider, ColliderMode, ColliderShape, Support};
 pub use diagnostic::{Diagnostic, SceneError, Severity};
 pub use heat::{Heat, HeatKind, MotionKey, Quantity, Region, Schedule};
 pub use input::{Backdrop, Finetune, FinetuneSettings, Input, Method, Profile, Reconstruct};
-pub use material::{Law, MaterialContext, MaterialError, MaterialSpec, ResolvedMaterial};
+pub use material::{Law, MaterialContext, MaterialError, MaterialSpec, ResolvedMaterial, ResolvedTables};
 pub use material_checks::{MaterialReport, StepLimits};
 pub use object::{Object, Select};
 pub use output::{Film, Output};
 pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
 pub use scene::{Clock, Scene};
 pub use schema::json_schema;
-pub use settings::{Air, AirMode, Fill, OpenBottom, PhaseMode, Push, Quality, Simulation, Skin, Time};
+pub use settings::{
+    Air, AirMode, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Push, Quality, Simulation, Skin, Time,
+};
 pub use shape::{BoxShape, Frame, HalfSpace, Placement, Plane, Sphere, Tube};
 pub use value::{Auto, Colour, Up};
 

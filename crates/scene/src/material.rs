@@ -8,13 +8,39 @@ use crate::presets::{DEFAULT_MATERIAL, preset};
 use crate::settings::PhaseMode;
 
 /// Constitutive law of the elastic response.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Law {
     /// StVK with Hencky strain; the only law that melts.
+    #[default]
     Hencky,
-    /// Fixed corotated: elastic bodies that never melt.
+    /// Fixed corotated: soft elastic bodies, robust when crushed.
     FixedCorotated,
+    /// Neo-Hookean: rubber.
+    NeoHookean,
+    /// Neo-Hookean with shear and volume kept apart.
+    NeoHookeanSplit,
+    /// Elastic until it yields, then it hardens: metals, modelling clay.
+    VonMises,
+    /// Dry sand: friction, no cohesion.
+    DruckerPrager,
+    /// A liquid without any yield stress.
+    Fluid,
+}
+
+impl Law {
+    /// Its name in scene files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Hencky => "hencky",
+            Self::FixedCorotated => "fixed_corotated",
+            Self::NeoHookean => "neo_hookean",
+            Self::NeoHookeanSplit => "neo_hookean_split",
+            Self::VonMises => "von_mises",
+            Self::DruckerPrager => "drucker_prager",
+            Self::Fluid => "fluid",
+        }
+    }
 }
 
 /// A material of a scene file: a preset with changes. Keys left out keep the preset's value.
@@ -24,7 +50,8 @@ pub struct MaterialSpec {
     /// The preset to start from (see `megas materials`); "soft-wax" if left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<String>,
-    /// Elastic law: "hencky" (melts) or "fixed_corotated" (never melts).
+    /// Constitutive law: "hencky" melts; "fixed_corotated", "neo_hookean", "neo_hookean_split" (elastic), "von_mises" (metals, clay),
+    /// "drucker_prager" (sand) and "fluid" never do.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub law: Option<Law>,
     /// Density in kg/m³.
@@ -47,6 +74,47 @@ pub struct MaterialSpec {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1e12))]
     pub solid_yield_stress_pa: Option<f64>,
+    /// Hardening of "von_mises" in Pa: the yield stress grows by this per unit of plastic strain.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e12))]
+    pub hardening_pa: Option<f64>,
+    /// Friction angle of "drucker_prager" in degrees: the steepest slope of a heap. Dry sand 30–35.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 60.0))]
+    pub friction_angle_deg: Option<f64>,
+    /// Viscosity of "fluid" in Pa·s. Water 0.001, oil 0.1; thick ones cost time steps.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e3))]
+    pub viscosity_pa_s: Option<f64>,
+    /// Stiffness of the solid over temperature, [[°C, share of its cold value], …], at most 8 entries; in place of `softening`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(length(min = 1, max = 8))]
+    pub stiffness_table_c: Option<Vec<[f64; 2]>>,
+    /// Yield stress of the solid over temperature, [[°C, share of its plain value], …], at most 8 entries.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(length(min = 1, max = 8))]
+    pub solid_yield_table_c: Option<Vec<[f64; 2]>>,
+    /// Yield stress of the melt over temperature, [[°C, Pa], …], at most 8 entries, logarithms in between.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(length(min = 1, max = 8))]
+    pub melt_yield_stress_table_c_pa: Option<Vec<[f64; 2]>>,
+    /// Consistency of the melt over temperature, [[°C, Pa·sⁿ], …], at most 8 entries, logarithms in between; in place of
+    /// `arrhenius_k`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(length(min = 1, max = 8))]
+    pub melt_consistency_table_c_pa_sn: Option<Vec<[f64; 2]>>,
+    /// Conductivity of solid and melt over temperature, [[°C, W/(m·K)], …], at most 8 entries.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(length(min = 1, max = 8))]
+    pub conductivity_table_c_w_m_k: Option<Vec<[f64; 2]>>,
+    /// Density of the melt in kg/m³, if melting is to change the volume: water over ice 1000, molten paraffin 790.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1.0, max = 30000.0))]
+    pub melt_density_kg_m3: Option<f64>,
+    /// Thermal expansion of the volume in 1/K, counted from the temperature at the start; 0 (default) is none. Wax 7e-4, steel 4e-5.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 0.01))]
+    pub volume_expansion_1_k: Option<f64>,
     /// Share of its stiffness that the solid loses on the way to the solidus, 0–0.9; default 0.5.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 0.9))]
@@ -131,6 +199,10 @@ pub struct MaterialContext {
     pub phase_mode: PhaseMode,
     /// Switching hysteresis δ \[K\].
     pub hysteresis_k: f64,
+    /// False: melting takes no latent heat.
+    pub latent_heat: bool,
+    /// One specific heat for solids and melts of all materials \[J/(kg·K)\].
+    pub uniform_heat_capacity: Option<f64>,
 }
 
 /// A contradiction in a material.
@@ -190,6 +262,46 @@ pub struct ResolvedMaterial {
     pub liquidus: f64,
     /// Phase rule.
     pub phase_mode: PhaseMode,
+    /// Hardening modulus H \[Pa\].
+    pub hardening: f64,
+    /// Friction angle φ \[rad\].
+    pub friction_angle: f64,
+    /// Viscosity of a fluid \[Pa·s\].
+    pub fluid_viscosity: f64,
+    /// Density of the melt \[kg/m³\] if it differs.
+    pub melt_density: Option<f64>,
+    /// Volumetric thermal expansion \[1/K\].
+    pub expansion: f64,
+    /// Parameters over temperature.
+    pub tables: ResolvedTables,
+}
+
+/// Parameters over temperature in kelvin; empty = not given.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ResolvedTables {
+    /// Share of the solid's stiffness.
+    pub stiffness: Vec<[f64; 2]>,
+    /// Share of the solid's yield stress.
+    pub solid_yield: Vec<[f64; 2]>,
+    /// Yield stress of the melt \[Pa\].
+    pub melt_yield: Vec<[f64; 2]>,
+    /// Consistency of the melt \[Pa·sⁿ\].
+    pub melt_consistency: Vec<[f64; 2]>,
+    /// Conductivity \[W/(m·K)\].
+    pub conductivity: Vec<[f64; 2]>,
+}
+
+/// A table of a scene in kelvin: ascending temperatures, positive values (zero too where no logarithm is taken).
+fn table(key: &'static str, entries: Option<&[[f64; 2]]>, zero: bool) -> Result<Vec<[f64; 2]>, MaterialError> {
+    let entries = entries.unwrap_or_default();
+    if let Some(w) = entries.windows(2).find(|w| w[1][0] <= w[0][0]) {
+        let message = format!("{} °C comes after {} °C; temperatures must ascend", w[1][0], w[0][0]);
+        return Err(MaterialError { key, message });
+    }
+    if let Some(e) = entries.iter().find(|e| e[1] < 0.0 || !zero && e[1] == 0.0) {
+        return Err(MaterialError { key, message: format!("the value {} at {} °C must be positive", e[1], e[0]) });
+    }
+    Ok(entries.iter().map(|e| [e[0] + CELSIUS_K, e[1]]).collect())
 }
 
 impl MaterialSpec {
@@ -234,6 +346,23 @@ impl MaterialSpec {
         Ok((solidus, liquidus))
     }
 
+    /// Refuses keys that another law would use.
+    fn check_law_keys(&self, law: Law) -> Result<(), MaterialError> {
+        let yields = matches!(law, Law::Hencky | Law::VonMises);
+        let keys = [
+            ("solid_yield_stress_pa", self.solid_yield_stress_pa.is_some(), yields, "\"hencky\" or \"von_mises\""),
+            ("hardening_pa", self.hardening_pa.is_some(), law == Law::VonMises, "\"von_mises\""),
+            ("friction_angle_deg", self.friction_angle_deg.is_some(), law == Law::DruckerPrager, "\"drucker_prager\""),
+            ("viscosity_pa_s", self.viscosity_pa_s.is_some(), law == Law::Fluid, "\"fluid\""),
+        ];
+        match keys.iter().find(|k| k.1 && !k.2) {
+            Some((key, _, _, laws)) => {
+                Err(MaterialError { key, message: format!("has no effect with law = \"{}\"; it belongs to {laws}", law.name()) })
+            }
+            None => Ok(()),
+        }
+    }
+
     /// The numbers in SI. `name` is for messages; `context` gives size, gravity and temperatures.
     pub fn resolve(&self, name: &str, context: &MaterialContext) -> Result<ResolvedMaterial, MaterialError> {
         let base_name = self.preset.as_deref().unwrap_or(DEFAULT_MATERIAL);
@@ -242,11 +371,12 @@ impl MaterialSpec {
 
         let (solidus_c, liquidus_c) = self.melting_range_c((base.solidus_c, base.liquidus_c))?;
         let never_melts = !solidus_c.is_finite();
-        let law = self.law.unwrap_or(if base.law == Law::FixedCorotated && !never_melts { Law::Hencky } else { base.law });
-        if law == Law::FixedCorotated && !never_melts {
-            let message = "\"fixed_corotated\" cannot melt; use \"hencky\", or melts = false".into();
+        let law = self.law.unwrap_or(if never_melts { base.law } else { Law::Hencky });
+        if law != Law::Hencky && !never_melts {
+            let message = format!("\"{}\" cannot melt; use \"hencky\", or melts = false", law.name());
             return Err(MaterialError { key: "law", message });
         }
+        self.check_law_keys(law)?;
 
         let density = self.density_kg_m3.unwrap_or(base.density_kg_m3);
         if self.sag_ratio.is_some() && self.youngs_modulus_pa.is_some() {
@@ -255,17 +385,18 @@ impl MaterialSpec {
         }
         let visual_gravity = if context.gravity_m_s2 > 0.0 { context.gravity_m_s2 } else { 9.81 };
         let weight = density * visual_gravity * context.object_height_m;
-        let youngs_modulus = self.youngs_modulus_pa.unwrap_or(weight / self.sag_ratio.unwrap_or(context.sag_ratio));
+        let sag = self.sag_ratio.or(base.sag_ratio).unwrap_or(context.sag_ratio);
+        let youngs_modulus = self.youngs_modulus_pa.unwrap_or(weight / sag);
         let nu = self.poisson_ratio.unwrap_or(base.poisson_ratio);
-        let shear_modulus = youngs_modulus / (2.0 * (1.0 + nu));
+        let shear_modulus = if law == Law::Fluid { 0.0 } else { youngs_modulus / (2.0 * (1.0 + nu)) };
         // A melt is nearly incompressible only if K stands well above its pressures (simulation.md §5.3). Elastic bodies keep their own.
         let stiff_enough =
             (100.0 * density * context.max_speed_m_s.powi(2)).max(density * context.gravity_m_s2 * context.object_height_m / 0.01);
         let elastic_bulk = youngs_modulus / (3.0 * (1.0 - 2.0 * nu));
-        let bulk_modulus = if never_melts { elastic_bulk } else { elastic_bulk.max(stiff_enough) };
+        let bulk_modulus = if never_melts && law != Law::Fluid { elastic_bulk } else { elastic_bulk.max(stiff_enough) };
 
         let (mut solidus, mut liquidus) = (solidus_c + CELSIUS_K, liquidus_c + CELSIUS_K);
-        let latent_heat = self.latent_heat_j_kg.unwrap_or(base.latent_heat_j_kg);
+        let latent_heat = if context.latent_heat { self.latent_heat_j_kg.unwrap_or(base.latent_heat_j_kg) } else { 0.0 };
         // Without latent heat a sharp melting point has no enthalpy interval to blend over (simulation.md §5.5).
         let width = context.hysteresis_k.max(0.1);
         if latent_heat == 0.0 && liquidus - solidus < width && !never_melts && context.phase_mode == PhaseMode::Mushy {
@@ -273,7 +404,16 @@ impl MaterialSpec {
             (solidus, liquidus) = (middle - 0.5 * width, middle + 0.5 * width);
         }
 
-        let elastic = never_melts && self.solid_yield_stress_pa.is_none();
+        let elastic = never_melts && self.solid_yield_stress_pa.is_none() && law != Law::VonMises;
+        // A yield stress that a preset gives scales with the visual stiffness, as a share of it.
+        let own_yield = base.solid_yield_ratio * youngs_modulus;
+        let tables = ResolvedTables {
+            stiffness: table("stiffness_table_c", self.stiffness_table_c.as_deref(), false)?,
+            solid_yield: table("solid_yield_table_c", self.solid_yield_table_c.as_deref(), false)?,
+            melt_yield: table("melt_yield_stress_table_c_pa", self.melt_yield_stress_table_c_pa.as_deref(), false)?,
+            melt_consistency: table("melt_consistency_table_c_pa_sn", self.melt_consistency_table_c_pa_sn.as_deref(), false)?,
+            conductivity: table("conductivity_table_c_w_m_k", self.conductivity_table_c_w_m_k.as_deref(), false)?,
+        };
         let mut material = ResolvedMaterial {
             name: name.into(),
             law,
@@ -281,7 +421,7 @@ impl MaterialSpec {
             youngs_modulus,
             shear_modulus,
             bulk_modulus,
-            solid_yield_stress: if elastic { f64::INFINITY } else { self.solid_yield_stress_pa.unwrap_or(0.05 * youngs_modulus) },
+            solid_yield_stress: if elastic { f64::INFINITY } else { self.solid_yield_stress_pa.unwrap_or(own_yield) },
             melt_shear_modulus: (self.melt_stiffness_ratio.unwrap_or(0.3) * bulk_modulus).min(shear_modulus),
             melt_yield_stress: self.melt_yield_stress_pa.unwrap_or(base.melt_yield_stress_pa),
             melt_consistency: self.melt_consistency_pa_sn.unwrap_or(base.melt_consistency_pa_sn),
@@ -289,14 +429,30 @@ impl MaterialSpec {
             arrhenius_k: self.arrhenius_k.unwrap_or(base.arrhenius_k),
             softening: if never_melts { 0.0 } else { self.softening.unwrap_or(0.5) },
             reference_temperature: context.ambient_k,
-            heat_capacity_solid: self.heat_capacity_solid_j_kg_k.unwrap_or(base.heat_capacity_solid_j_kg_k),
-            heat_capacity_liquid: self.heat_capacity_liquid_j_kg_k.unwrap_or(base.heat_capacity_liquid_j_kg_k),
+            heat_capacity_solid: context
+                .uniform_heat_capacity
+                .or(self.heat_capacity_solid_j_kg_k)
+                .unwrap_or(base.heat_capacity_solid_j_kg_k),
+            heat_capacity_liquid: context
+                .uniform_heat_capacity
+                .or(self.heat_capacity_liquid_j_kg_k)
+                .unwrap_or(base.heat_capacity_liquid_j_kg_k),
             conductivity_solid: self.conductivity_solid_w_m_k.unwrap_or(base.conductivity_solid_w_m_k),
             conductivity_liquid: self.conductivity_liquid_w_m_k.unwrap_or(base.conductivity_liquid_w_m_k),
             latent_heat,
             solidus,
             liquidus,
             phase_mode: context.phase_mode,
+            hardening: if law == Law::VonMises { self.hardening_pa.unwrap_or(base.hardening_ratio * youngs_modulus) } else { 0.0 },
+            friction_angle: if law == Law::DruckerPrager {
+                self.friction_angle_deg.unwrap_or(base.friction_angle_deg).to_radians()
+            } else {
+                0.0
+            },
+            fluid_viscosity: if law == Law::Fluid { self.viscosity_pa_s.unwrap_or(base.viscosity_pa_s) } else { 0.0 },
+            melt_density: self.melt_density_kg_m3.filter(|_| !never_melts),
+            expansion: self.volume_expansion_1_k.unwrap_or(0.0),
+            tables,
         };
         let start = self.softening_start_c.map(|c| c + CELSIUS_K).or(context.initial_k);
         let start = start.unwrap_or_else(|| material.initial_temperature_k(context.ambient_k));
@@ -359,6 +515,8 @@ mod tests {
             max_speed_m_s: 0.0,
             phase_mode: PhaseMode::Mushy,
             hysteresis_k: 1.0,
+            latent_heat: true,
+            uniform_heat_capacity: None,
         }
     }
 
@@ -392,6 +550,31 @@ mod tests {
         assert_eq!(key(MaterialSpec { melts: Some(false), solidus_c: Some(50.0), ..Default::default() }), "melts");
         assert_eq!(key(MaterialSpec { law: Some(Law::FixedCorotated), ..Default::default() }), "law");
         assert_eq!(key(MaterialSpec::from_preset("adamantium")), "preset");
+    }
+
+    #[test]
+    fn every_law_has_its_own_keys() {
+        let of = |law: Law| MaterialSpec { law: Some(law), melts: Some(false), ..Default::default() };
+        let sand = MaterialSpec { friction_angle_deg: Some(30.0), ..of(Law::DruckerPrager) }.resolve("m", &context()).unwrap();
+        assert!((sand.friction_angle - 30f64.to_radians()).abs() < 1e-12 && sand.solid_yield_stress.is_infinite());
+        let metal = MaterialSpec { hardening_pa: Some(1e5), ..of(Law::VonMises) }.resolve("m", &context()).unwrap();
+        assert!(metal.hardening == 1e5 && metal.solid_yield_stress.is_finite());
+        let water = MaterialSpec::from_preset("water").resolve("m", &context()).unwrap();
+        assert!(water.shear_modulus == 0.0 && water.fluid_viscosity > 0.0 && water.bulk_modulus >= 1000.0 * 9.81 * 0.2 / 0.01);
+        let key = |s: MaterialSpec| s.resolve("m", &context()).unwrap_err().key;
+        assert_eq!(key(MaterialSpec { friction_angle_deg: Some(30.0), ..Default::default() }), "friction_angle_deg");
+        assert_eq!(key(MaterialSpec { viscosity_pa_s: Some(1.0), ..of(Law::NeoHookean) }), "viscosity_pa_s");
+        assert_eq!(key(MaterialSpec { solid_yield_stress_pa: Some(1.0), ..of(Law::DruckerPrager) }), "solid_yield_stress_pa");
+        assert_eq!(key(MaterialSpec { law: Some(Law::Fluid), ..Default::default() }), "law");
+    }
+
+    #[test]
+    fn tables_come_in_kelvin_and_in_order() {
+        let spec = |t: Vec<[f64; 2]>| MaterialSpec { stiffness_table_c: Some(t), ..Default::default() };
+        let m = spec(vec![[20.0, 1.0], [50.0, 0.4]]).resolve("m", &context()).unwrap();
+        assert_eq!(m.tables.stiffness, [[293.15, 1.0], [323.15, 0.4]]);
+        assert_eq!(spec(vec![[20.0, 1.0], [20.0, 0.4]]).resolve("m", &context()).unwrap_err().key, "stiffness_table_c");
+        assert_eq!(spec(vec![[20.0, 0.0]]).resolve("m", &context()).unwrap_err().key, "stiffness_table_c");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Checks of a material at load: will it slump, what does it cost, is the melt stiff enough (simulation.md §5.7).
 
 use crate::diagnostic::Severity;
-use crate::material::ResolvedMaterial;
+use crate::material::{Law, ResolvedMaterial};
 
 /// The grid and the clock that a material has to live with.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,7 +49,9 @@ impl ResolvedMaterial {
             }
         };
         positive("density", self.density);
-        positive("shear modulus", self.shear_modulus);
+        if self.law != Law::Fluid {
+            positive("shear modulus", self.shear_modulus);
+        }
         positive("bulk modulus", self.bulk_modulus);
         positive("specific heat of the solid", self.heat_capacity_solid);
         positive("specific heat of the melt", self.heat_capacity_liquid);
@@ -66,20 +68,43 @@ impl ResolvedMaterial {
         let wave_speed = self.wave_speed();
         let weight = self.density * limits.gravity_m_s2 * limits.object_height_m;
         let yield_number = if weight > 0.0 { self.melt_yield_stress / weight } else { 0.0 };
-        let substep = (limits.courant * limits.dx_m / wave_speed).min(limits.coupling_step_s);
+        // Explicit viscosity has a limit of its own (simulation.md §2.5).
+        let viscous =
+            if self.fluid_viscosity > 0.0 { 0.1 * self.density * limits.dx_m.powi(2) / self.fluid_viscosity } else { f64::INFINITY };
+        let substep = (limits.courant * limits.dx_m / wave_speed).min(viscous).min(limits.coupling_step_s);
         let per_coupling = (limits.coupling_step_s / substep).ceil();
         let couplings = (limits.frame_dt_s / limits.coupling_step_s).ceil().max(1.0);
         if per_coupling > MAX_SUBSTEPS {
             messages.push((
                 Severity::Error,
                 format!(
-                    "{name}: too stiff: {per_coupling} substeps per coupling step (at most {MAX_SUBSTEPS}); \
-                     lower youngs_modulus_pa or use sag_ratio"
+                    "{name}: too {}: {per_coupling} substeps per coupling step (at most {MAX_SUBSTEPS}); lower {}",
+                    if viscous < limits.courant * limits.dx_m / wave_speed { "viscous" } else { "stiff" },
+                    if viscous < limits.courant * limits.dx_m / wave_speed {
+                        "viscosity_pa_s"
+                    } else {
+                        "youngs_modulus_pa or use sag_ratio"
+                    },
                 ),
             ));
         }
         if self.solidus.is_finite() && weight > 0.0 {
             self.check_melt(limits, yield_number, &mut messages);
+        }
+        if weight > self.solid_yield_stress {
+            let text = format!(
+                "{name}: the solid yields under its own weight ({weight:.0} Pa at its foot, solid_yield_stress_pa {:.0}); \
+                 raise solid_yield_stress_pa",
+                self.solid_yield_stress
+            );
+            messages.push((Severity::Warning, text));
+        }
+        if let Some(melt) = self.melt_density.filter(|m| !(0.7..1.4).contains(&(m / self.density))) {
+            let change = 100.0 * (self.density / melt - 1.0);
+            messages.push((
+                Severity::Warning,
+                format!("{name}: melting would change the volume by {change:.0} %; is melt_density_kg_m3 = {melt} meant?"),
+            ));
         }
         MaterialReport {
             yield_number,
@@ -137,6 +162,8 @@ mod tests {
             max_speed_m_s: 0.0,
             phase_mode: PhaseMode::Mushy,
             hysteresis_k: 1.0,
+            latent_heat: true,
+            uniform_heat_capacity: None,
         };
         let limits = StepLimits {
             object_height_m: height,

@@ -41,6 +41,16 @@ pub struct MaterialPreset {
     pub melt_flow_index: f64,
     /// Arrhenius constant of the melt's viscosity \[K\].
     pub arrhenius_k: f64,
+    /// Sag ratio of its own; `None` = the scene's.
+    pub sag_ratio: Option<f64>,
+    /// Yield stress of the solid as a share of Young's modulus, where it yields at all.
+    pub solid_yield_ratio: f64,
+    /// Hardening modulus as a share of Young's modulus (von Mises).
+    pub hardening_ratio: f64,
+    /// Friction angle \[°\] (Drucker–Prager).
+    pub friction_angle_deg: f64,
+    /// Viscosity \[Pa·s\] (fluid).
+    pub viscosity_pa_s: f64,
 }
 
 /// What most melting things share; the presets below change it.
@@ -61,9 +71,17 @@ const BASE: MaterialPreset = MaterialPreset {
     melt_consistency_pa_sn: 5.0,
     melt_flow_index: 1.0,
     arrhenius_k: 0.0,
+    sag_ratio: None,
+    solid_yield_ratio: 0.05,
+    hardening_ratio: 0.0,
+    friction_angle_deg: 33.0,
+    viscosity_pa_s: 0.001,
 };
 
-const PRESETS: [MaterialPreset; 9] = [
+/// What things that never melt share.
+const LASTING: MaterialPreset = MaterialPreset { solidus_c: f64::INFINITY, liquidus_c: f64::INFINITY, ..BASE };
+
+const PRESETS: [MaterialPreset; 15] = [
     MaterialPreset { name: "soft-wax", about: "the default: melts at 57 °C at once, without latent heat, into a thick melt", ..BASE },
     MaterialPreset {
         name: "ice-cream",
@@ -181,9 +199,78 @@ const PRESETS: [MaterialPreset; 9] = [
         heat_capacity_liquid_j_kg_k: 1500.0,
         conductivity_solid_w_m_k: 0.2,
         conductivity_liquid_w_m_k: 0.2,
-        solidus_c: f64::INFINITY,
-        liquidus_c: f64::INFINITY,
-        ..BASE
+        ..LASTING
+    },
+    MaterialPreset {
+        name: "rubber",
+        about: "nearly incompressible, springs back from large stretch, never melts",
+        law: Law::NeoHookean,
+        density_kg_m3: 1100.0,
+        poisson_ratio: 0.45,
+        heat_capacity_solid_j_kg_k: 1900.0,
+        heat_capacity_liquid_j_kg_k: 1900.0,
+        conductivity_solid_w_m_k: 0.16,
+        conductivity_liquid_w_m_k: 0.16,
+        ..LASTING
+    },
+    MaterialPreset {
+        name: "jelly",
+        about: "wobbles under its own weight, never melts",
+        law: Law::FixedCorotated,
+        density_kg_m3: 1050.0,
+        poisson_ratio: 0.4,
+        heat_capacity_solid_j_kg_k: 3900.0,
+        heat_capacity_liquid_j_kg_k: 3900.0,
+        conductivity_solid_w_m_k: 0.55,
+        conductivity_liquid_w_m_k: 0.55,
+        sag_ratio: Some(0.05),
+        ..LASTING
+    },
+    MaterialPreset {
+        name: "steel",
+        about: "dents and stays dented (von Mises with hardening); stiffness and yield stress are visual, heat is real",
+        law: Law::VonMises,
+        density_kg_m3: 7850.0,
+        heat_capacity_solid_j_kg_k: 490.0,
+        heat_capacity_liquid_j_kg_k: 490.0,
+        conductivity_solid_w_m_k: 50.0,
+        conductivity_liquid_w_m_k: 50.0,
+        solid_yield_ratio: 0.03,
+        hardening_ratio: 0.1,
+        ..LASTING
+    },
+    MaterialPreset {
+        name: "modelling-clay",
+        about: "keeps every dent (von Mises without hardening)",
+        law: Law::VonMises,
+        density_kg_m3: 1700.0,
+        heat_capacity_solid_j_kg_k: 1200.0,
+        heat_capacity_liquid_j_kg_k: 1200.0,
+        conductivity_solid_w_m_k: 0.6,
+        conductivity_liquid_w_m_k: 0.6,
+        solid_yield_ratio: 0.015,
+        ..LASTING
+    },
+    MaterialPreset {
+        name: "sand",
+        about: "dry, runs until its slope is 33 degrees (Drucker-Prager)",
+        law: Law::DruckerPrager,
+        density_kg_m3: 1600.0,
+        heat_capacity_solid_j_kg_k: 830.0,
+        heat_capacity_liquid_j_kg_k: 830.0,
+        conductivity_solid_w_m_k: 0.3,
+        conductivity_liquid_w_m_k: 0.3,
+        ..LASTING
+    },
+    MaterialPreset {
+        name: "water",
+        about: "liquid from the start, whatever its temperature (for ice that melts see water-ice)",
+        law: Law::Fluid,
+        heat_capacity_solid_j_kg_k: 4186.0,
+        heat_capacity_liquid_j_kg_k: 4186.0,
+        conductivity_solid_w_m_k: 0.6,
+        conductivity_liquid_w_m_k: 0.6,
+        ..LASTING
     },
 ];
 

@@ -16,7 +16,7 @@ use crate::material::{MaterialContext, MaterialSpec};
 use crate::material_checks::StepLimits;
 use crate::object::Object;
 use crate::output::Output;
-use crate::settings::{Air, Fill, Quality, Simulation, Skin, Time};
+use crate::settings::{Air, Fill, HeatTransfer, PhaseMode, Preset, Quality, Simulation, Skin, Time};
 use crate::{CELSIUS_K, presets, semantic};
 
 /// Real size of the objects when nobody says one \[m\].
@@ -35,6 +35,9 @@ pub struct Scene {
     /// "preview", "default" or "final": resolution, stiffness and picture size in one word.
     #[serde(default)]
     pub quality: Quality,
+    /// "physical" or "paper" (the literal algorithm of the paper, for comparison).
+    #[serde(default)]
+    pub preset: Preset,
     /// Seed of everything random.
     #[serde(default)]
     #[schemars(range(min = 0, max = 9007199254740991i64))]
@@ -193,6 +196,35 @@ impl Scene {
         self.materials.get(name).cloned().or_else(|| presets::preset(name).map(|p| MaterialSpec::from_preset(p.name)))
     }
 
+    fn is_literal(&self) -> bool {
+        self.preset == Preset::Paper
+    }
+
+    /// The phase rule in use.
+    pub fn phase_mode(&self) -> PhaseMode {
+        self.simulation.phase_mode.unwrap_or(if self.is_literal() { PhaseMode::Binary } else { PhaseMode::Mushy })
+    }
+
+    /// Width of the switching hysteresis δ \[K\].
+    pub fn hysteresis_k(&self) -> f64 {
+        self.simulation.hysteresis_k.unwrap_or(if self.is_literal() { 0.0 } else { 1.0 })
+    }
+
+    /// How temperature travels.
+    pub fn heat_transfer(&self) -> HeatTransfer {
+        self.simulation.heat_transfer.unwrap_or(if self.is_literal() { HeatTransfer::Affine } else { HeatTransfer::Increments })
+    }
+
+    /// The specific heat that all materials share \[J/(kg·K)\], if they do: that of the first object's solid.
+    fn uniform_heat_capacity(&self) -> Option<f64> {
+        if !self.simulation.uniform_heat_capacity.unwrap_or(self.is_literal()) {
+            return None;
+        }
+        let spec = self.material(&self.objects_or_default().first()?.material)?;
+        spec.heat_capacity_solid_j_kg_k
+            .or_else(|| presets::preset(spec.preset.as_deref().unwrap_or(presets::DEFAULT_MATERIAL)).map(|p| p.heat_capacity_solid_j_kg_k))
+    }
+
     /// What [`MaterialSpec::resolve`] needs, for an object of that height \[m\].
     pub fn material_context(&self, object: &Object, height_m: f64) -> MaterialContext {
         let speed = object.initial_velocity_m_s.map_or(0.0, |v| v.iter().map(|c| c * c).sum::<f64>().sqrt());
@@ -203,8 +235,10 @@ impl Scene {
             ambient_k: self.ambient_k(),
             initial_k: object.initial_temperature_c.map(|c| c + CELSIUS_K),
             max_speed_m_s: speed,
-            phase_mode: self.simulation.phase_mode,
-            hysteresis_k: self.simulation.hysteresis_k,
+            phase_mode: self.phase_mode(),
+            hysteresis_k: self.hysteresis_k(),
+            latent_heat: self.simulation.latent_heat.unwrap_or(!self.is_literal()),
+            uniform_heat_capacity: self.uniform_heat_capacity(),
         }
     }
 
@@ -237,5 +271,32 @@ impl Scene {
             }
         }
         remarks
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_paper_preset_is_literal_and_single_keys_overrule_it() {
+        let scene = |text: &str| Scene::parse(&format!("{text}\n[input]\nasset = \"ice-cream\"\n"), "s.toml").unwrap();
+        let physical = scene("");
+        assert_eq!((physical.phase_mode(), physical.hysteresis_k()), (PhaseMode::Mushy, 1.0));
+        assert_eq!(physical.heat_transfer(), HeatTransfer::Increments);
+        let paper = scene("preset = \"paper\"");
+        assert_eq!((paper.phase_mode(), paper.hysteresis_k(), paper.heat_transfer()), (PhaseMode::Binary, 0.0, HeatTransfer::Affine));
+        let object = Object { material: "water-ice".into(), ..Object::default() };
+        let resolve = |s: &Scene| s.material("water-ice").unwrap().resolve("ice", &s.material_context(&object, 0.1)).unwrap();
+        // The first object is soft wax with 2000 J/(kg·K).
+        let m = resolve(&paper);
+        assert_eq!((m.latent_heat, m.heat_capacity_solid, m.heat_capacity_liquid), (0.0, 2000.0, 2000.0));
+        assert_eq!(resolve(&physical).latent_heat, 334e3);
+        let mixed = Scene::parse(
+            "preset = \"paper\"\n[input]\nasset = \"ice-cream\"\n[simulation]\nlatent_heat = true\nheat_transfer = \"pic\"\n",
+            "s.toml",
+        )
+        .unwrap();
+        assert_eq!((resolve(&mixed).latent_heat, mixed.heat_transfer()), (334e3, HeatTransfer::Pic));
     }
 }

@@ -101,6 +101,41 @@ pub enum PhaseMode {
     InitMelted,
 }
 
+/// Two sets of rules; the keys they stand for can still be set one by one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// Enthalpy with latent heat, increments, parameters that blend through the mushy zone.
+    #[default]
+    Physical,
+    /// The algorithm of the MeGAS paper, literally: temperature overwritten from the nodes, no latent heat, one specific heat for all
+    /// materials, a switch at the melting point. It diffuses heat numerically; that is what it is for.
+    Paper,
+}
+
+/// How temperature travels between points and nodes (simulation.md §3.2).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum HeatTransfer {
+    /// Points receive what their nodes gained.
+    Increments,
+    /// Points take the temperature of their nodes; gradients soften the loss.
+    Affine,
+    /// Points take the temperature of their nodes. Diffuses strongly.
+    Pic,
+}
+
+/// How momentum travels from points to nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MomentumTransfer {
+    /// With the affine velocity of each point (APIC).
+    #[default]
+    Affine,
+    /// With the mean velocity alone (PIC). Damps strongly.
+    Pic,
+}
+
 /// The simulation's grid and rules.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -119,11 +154,30 @@ pub struct Simulation {
     pub gravity_m_s2: f64,
     /// Move at all; false leaves pure heat conduction in bodies at rest.
     pub mechanics: bool,
-    /// How material parameters follow melting: "mushy", "binary" or "init_melted".
-    pub phase_mode: PhaseMode,
-    /// Width of the switching hysteresis in K.
+    /// How material parameters follow melting: "mushy", "binary" or "init_melted" (default: from `preset`, "mushy" or "binary").
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub phase_mode: Option<PhaseMode>,
+    /// Width of the switching hysteresis in K (default: from `preset`, 1 or 0).
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 5.0))]
-    pub hysteresis_k: f64,
+    pub hysteresis_k: Option<f64>,
+    /// false: melting takes no latent heat (default: from `preset`).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub latent_heat: Option<bool>,
+    /// true: every material has the specific heat of the first object's solid (default: from `preset`).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub uniform_heat_capacity: Option<bool>,
+    /// How temperature travels between points and nodes: "increments", "affine" or "pic" (default: from `preset`, "increments" or
+    /// "affine").
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heat_transfer: Option<HeatTransfer>,
+    /// Exchange heat at every mechanical substep instead of every coupling step. Slow; with "affine" it shows how that transfer diffuses.
+    pub heat_every_substep: bool,
+    /// How momentum travels from points to nodes: "affine" or "pic".
+    pub momentum_transfer: MomentumTransfer,
+    /// Share of its shear stress that a melt keeps when it freezes in one step (phase_mode "binary"), 0–1; 0 freezes stress-free.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub frozen_stress: f64,
     /// Size of the simulated space in metres, [x, y, z] with z up, around and above the objects; chosen with room to spread if left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub box_m: Option<[f64; 3]>,
@@ -146,8 +200,14 @@ impl Default for Simulation {
             sag_ratio: None,
             gravity_m_s2: 9.81,
             mechanics: true,
-            phase_mode: PhaseMode::Mushy,
-            hysteresis_k: 1.0,
+            phase_mode: None,
+            hysteresis_k: None,
+            latent_heat: None,
+            uniform_heat_capacity: None,
+            heat_transfer: None,
+            heat_every_substep: false,
+            momentum_transfer: MomentumTransfer::Affine,
+            frozen_stress: 0.0,
             box_m: None,
             courant: 0.4,
             settle_s: 0.25,

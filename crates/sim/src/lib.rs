@@ -13,5 +13,6 @@ pub mod region;
 pub mod schedule;
 pub mod solver;
 pub mod source;
-mod stretch;
+pub mod stretch;
+pub mod table;
 pub mod thermal;

@@ -3,13 +3,25 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Constitutive law of the elastic response.
+pub use crate::table::{Table, Tables};
+
+/// Constitutive law (simulation.md §5.1, §5.2). Only [`Law::Hencky`] melts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Law {
-    /// StVK with Hencky strain; the only law that melts.
+    /// StVK with Hencky strain and Herschel–Bulkley flow: solid, mush and melt.
     Hencky,
-    /// Fixed corotated; elastic bodies without phase change.
+    /// Fixed corotated elasticity; survives inversion.
     FixedCorotated,
+    /// Compressible neo-Hookean elasticity, `τ = μ (b − I) + λ ln J I`.
+    NeoHookean,
+    /// Neo-Hookean elasticity split into shear and volume (Yue 2015), `τ = μ J^{−2/3} dev b + ½ K (J² − 1) I`.
+    NeoHookeanSplit,
+    /// Hencky elasticity with von Mises yield and linear hardening: metals, modelling clay.
+    VonMises,
+    /// Hencky elasticity with Drucker–Prager yield and volume correction: dry sand.
+    DruckerPrager,
+    /// Weakly compressible Newtonian fluid; keeps no shape at all.
+    Fluid,
 }
 
 /// Rheometer constants of a melt in simple shear: `τ = τ_0 + κ γ̇ⁿ`.
@@ -82,6 +94,52 @@ pub struct Material {
     pub liquidus: f64,
     /// Phase rule.
     pub phase_mode: PhaseMode,
+    /// Hardening modulus H of [`Law::VonMises`] \[Pa\], ≥ 0: the yield stress grows by H per unit of plastic strain.
+    pub hardening: f64,
+    /// Friction angle φ of [`Law::DruckerPrager`] \[rad\], 0–1.2.
+    pub friction_angle: f64,
+    /// Viscosity μ_v of [`Law::Fluid`] \[Pa·s\], ≥ 0.
+    pub fluid_viscosity: f64,
+    /// Density of the melt \[kg/m³\]; `None` = that of the solid, so that melting changes no volume (simulation.md §5.3).
+    pub melt_density: Option<f64>,
+    /// Volumetric thermal expansion β_V \[1/K\] from the reference temperature on; 0 = none.
+    pub expansion: f64,
+    /// Parameters that follow temperature.
+    pub tables: Tables,
+}
+
+impl Default for Material {
+    /// A plain wax without latent heat, for tests and as a base for literals.
+    fn default() -> Self {
+        let (shear_modulus, bulk_modulus) = Self::moduli(4e4, 0.3);
+        Self {
+            name: "wax".into(),
+            law: Law::Hencky,
+            density: 1000.0,
+            shear_modulus,
+            bulk_modulus,
+            solid_yield_stress: f64::INFINITY,
+            melt_shear_modulus: shear_modulus,
+            melt: Rheology { yield_stress: 20.0, consistency: 5.0, index: 1.0 },
+            arrhenius_k: 0.0,
+            softening: 0.0,
+            reference_temperature: 293.15,
+            heat_capacity_solid: 2000.0,
+            heat_capacity_liquid: 2000.0,
+            conductivity_solid: 0.25,
+            conductivity_liquid: 0.25,
+            latent_heat: 0.0,
+            solidus: f64::INFINITY,
+            liquidus: f64::INFINITY,
+            phase_mode: PhaseMode::Mushy,
+            hardening: 0.0,
+            friction_angle: 0.0,
+            fluid_viscosity: 0.0,
+            melt_density: None,
+            expansion: 0.0,
+            tables: Tables::default(),
+        }
+    }
 }
 
 impl Material {
@@ -93,6 +151,26 @@ impl Material {
     /// Elastic wave speed of the cold solid, `√((K + 4μ/3)/ρ)` \[m/s\].
     pub fn wave_speed(&self) -> f64 {
         ((self.bulk_modulus + 4.0 / 3.0 * self.shear_modulus) / self.density).sqrt()
+    }
+
+    /// Specific volume \[m³/kg\] at liquid fraction `f_l` and temperature `t` \[K\]: what phase and heat alone make of the volume,
+    /// without pressure (simulation.md §5.3).
+    pub fn specific_volume(&self, f_l: f64, t: f64) -> f64 {
+        let solid = 1.0 / self.density;
+        let melt = self.melt_density.map_or(solid, |d| 1.0 / d);
+        let growth = if self.expansion == 0.0 { 1.0 } else { (1.0 + self.expansion * (t - self.reference_temperature)).clamp(0.5, 2.0) };
+        (solid + f_l * (melt - solid)) * growth
+    }
+
+    /// True where [`Material::specific_volume`] is not constant.
+    pub fn changes_volume(&self) -> bool {
+        self.expansion != 0.0 || self.melt_density.is_some_and(|d| d != self.density)
+    }
+
+    /// Slope α_f of the Drucker–Prager cone, `√(2/3) · 2 sin φ/(3 − sin φ)` (simulation.md §5.2).
+    pub fn friction_slope(&self) -> f64 {
+        let sin = self.friction_angle.sin();
+        (2.0f64 / 3.0).sqrt() * 2.0 * sin / (3.0 - sin)
     }
 
     /// The same material with its thermal clock running `factor` times faster (A_th, simulation.md §3.8).

@@ -5,7 +5,8 @@ use megas_math::mat3::{self, Mat3};
 use megas_math::{Real, svd};
 use serde::{Deserialize, Serialize};
 
-use crate::material::{Material, PhaseMode};
+use crate::material::{Law, Material, PhaseMode, Tables};
+use crate::particles::TAIT_EXPONENT;
 
 /// Values of a point's phase byte. The byte is for output, for the skin and for sticking colliders; no law reads it except
 /// the binary rule, whose hysteresis it is.
@@ -104,6 +105,11 @@ pub struct PhaseRule {
     widened: Option<[f64; 2]>,
     never_melts: bool,
     no_latent_heat: bool,
+    tables: Tables,
+    /// Factor from the consistency κ to the viscosity η of the return map.
+    eta_of_kappa: f64,
+    /// A fluid is liquid from the start, whatever its temperature.
+    fluid: bool,
 }
 
 impl PhaseRule {
@@ -114,12 +120,20 @@ impl PhaseRule {
         let (melt_yield, viscosity, exponent) = material.melt.return_map_constants();
         let start = if material.solid_yield_stress.is_finite() { material.solid_yield_stress } else { SOLID_YIELD * young };
         let t_m = material.melting_point();
+        let fluid = material.law == Law::Fluid;
+        let (viscosity, exponent) = match material.law {
+            Law::Hencky => (viscosity, exponent),
+            Law::Fluid => (material.fluid_viscosity, TAIT_EXPONENT),
+            _ => (0.0, 1.0),
+        };
+        // Only the Hencky law has a melt.
+        let never_melts = material.law != Law::Hencky || !material.solidus.is_finite() && material.phase_mode != PhaseMode::InitMelted;
         let narrow = material.latent_heat == 0.0 && material.liquidus - material.solidus < options.delta_t;
         Self {
             mode: material.phase_mode,
             options: *options,
-            mu_s,
-            mu_l: material.melt_shear_modulus,
+            mu_s: if fluid { 0.0 } else { mu_s },
+            mu_l: if never_melts { 0.0 } else { material.melt_shear_modulus },
             solid_yield: material.solid_yield_stress,
             ln_yield: [start.ln(), melt_yield.max(YIELD_FLOOR * start).ln()],
             melt_yield,
@@ -131,16 +145,20 @@ impl PhaseRule {
             t_s: material.solidus,
             t_m,
             widened: narrow.then_some([t_m - 0.5 * options.delta_t, t_m + 0.5 * options.delta_t]),
-            never_melts: !material.solidus.is_finite() && material.phase_mode != PhaseMode::InitMelted,
+            never_melts,
             no_latent_heat: material.latent_heat == 0.0,
+            tables: material.tables,
+            eta_of_kappa: 2f64.powf(0.5 * (1.0 + exponent)),
+            fluid,
         }
     }
 
     /// Phase byte of a new point at liquid fraction `f_l`.
     pub fn initial_phase(&self, t: f64, f_l: f64) -> u8 {
         match self.mode {
-            PhaseMode::InitMelted => state::LIQUID,
+            _ if self.fluid => state::LIQUID,
             _ if self.never_melts => state::SOLID,
+            PhaseMode::InitMelted => state::LIQUID,
             _ => self.next_phase(t, self.fraction(t, f_l), state::SOLID),
         }
     }
@@ -156,8 +174,9 @@ impl PhaseRule {
     pub fn update(&self, t: f64, f_l: f64, phase: u8, mu_old: f32) -> PhaseUpdate {
         let f = self.fraction(t, f_l);
         let next = match self.mode {
-            PhaseMode::InitMelted => state::LIQUID,
+            _ if self.fluid => state::LIQUID,
             _ if self.never_melts => state::SOLID,
+            PhaseMode::InitMelted => state::LIQUID,
             _ => self.next_phase(t, f, phase),
         };
         let mut law = self.law(t, f, next);
@@ -204,42 +223,86 @@ impl PhaseRule {
     fn law(&self, t: f64, f: f64, phase: u8) -> LawParameters {
         // Share of the way from solid to liquid.
         let s = match self.mode {
-            PhaseMode::InitMelted => 1.0,
             _ if self.never_melts => 0.0,
+            PhaseMode::InitMelted => 1.0,
             PhaseMode::Binary => f64::from(u8::from(phase == state::LIQUID)),
             PhaseMode::Mushy => ((f - self.options.coherency) / (1.0 - self.options.coherency)).clamp(0.0, 1.0),
         };
-        let viscosity = if self.arrhenius == 0.0 || s == 0.0 && self.solid_yield.is_infinite() {
-            self.viscosity
-        } else {
-            self.viscosity * (self.arrhenius * (1.0 / t - 1.0 / self.t_m)).exp()
-        };
+        let solid_yield = || self.solid_yield * self.tables.solid_yield.at(t).unwrap_or(1.0);
+        let melt_yield = || self.tables.melt_yield.at(t).map_or(self.melt_yield, |tau| 3f64.sqrt() * tau);
         let (mu, yield_stress) = if s <= 0.0 {
-            (self.softened(t), self.solid_yield)
+            (self.softened(t), solid_yield())
         } else if s >= 1.0 {
-            (self.mu_l, self.melt_yield)
+            (self.mu_l, melt_yield())
         } else {
             let solid = self.softened(t);
             let mu = solid * (self.mu_l.min(solid) / solid).powf(s);
-            (mu, (self.ln_yield[0] + s * (self.ln_yield[1] - self.ln_yield[0])).exp())
+            let mut ends = self.ln_yield;
+            if !self.tables.solid_yield.is_empty() || !self.tables.melt_yield.is_empty() {
+                let start = if self.solid_yield.is_finite() { solid_yield() } else { self.ln_yield[0].exp() };
+                ends = [start.ln(), melt_yield().max(YIELD_FLOOR * start).ln()];
+            }
+            (mu, (ends[0] + s * (ends[1] - ends[0])).exp())
         };
         LawParameters {
             mu: mu as f32,
             yield_stress: yield_stress as f32,
-            viscosity: viscosity.clamp(VISCOSITY_RANGE[0], VISCOSITY_RANGE[1]) as f32,
+            viscosity: self.viscosity(t, s) as f32,
             exponent: self.exponent as f32,
         }
+    }
+
+    /// Viscosity of the return map at `t`, or of a fluid.
+    #[inline(always)]
+    fn viscosity(&self, t: f64, s: f64) -> f64 {
+        if self.fluid || self.viscosity == 0.0 {
+            return self.viscosity;
+        }
+        let eta = match self.tables.melt_consistency.at(t) {
+            Some(kappa) => kappa * self.eta_of_kappa,
+            None if self.arrhenius == 0.0 || s == 0.0 && self.solid_yield.is_infinite() => self.viscosity,
+            None => self.viscosity * (self.arrhenius * (1.0 / t - 1.0 / self.t_m)).exp(),
+        };
+        eta.clamp(VISCOSITY_RANGE[0], VISCOSITY_RANGE[1])
+    }
+
+    /// Liquid fraction for the mechanics (sticking, output): that of the heat, and one for a fluid.
+    #[inline(always)]
+    pub fn liquid(&self, f_l: f64) -> f64 {
+        if self.fluid { 1.0 } else { f_l }
     }
 
     /// Shear modulus of the solid at `t`; never below the melt's.
     #[inline(always)]
     fn softened(&self, t: f64) -> f64 {
+        if let Some(share) = self.tables.stiffness.at(t) {
+            return (self.mu_s * share).max(self.mu_l);
+        }
         if self.softening == 0.0 || t <= self.t_0 || self.t_s <= self.t_0 || !self.t_s.is_finite() {
             return self.mu_s;
         }
         let way = ((t - self.t_0) / (self.t_s - self.t_0)).min(1.0);
         (self.mu_s * (1.0 - self.softening * way).max(SOFTENING_FLOOR)).max(self.mu_l)
     }
+}
+
+/// Largest relative change of a reference volume in one coupling step; what phase and heat ask for beyond it waits for the next.
+const SWELL: f64 = 5e-3;
+
+/// The reference volume \[m³\] of a point of `mass` \[kg\] that had `volume`, at liquid fraction `f_l` and temperature `t` \[K\], and
+/// the factor for its gradient: `V⁰ ← m/ρ(f_l, T)`, `F ← (V⁰_old/V⁰_new)^{1/3} F` (simulation.md §5.3). The space it takes does not
+/// change at once; the pressure that arises makes it swell or shrink. `None` if there is nothing to do.
+///
+/// Density change at melting and thermal expansion are one rule: both change the stress-free volume. The design divides F by
+/// `(1 + β_V ΔT)^{1/3}` when stress is evaluated; with V⁰ carrying the factor instead, nothing has to be done per substep.
+pub fn swell(material: &Material, mass: f32, volume: f32, f_l: f64, t: f64) -> Option<(f32, f32)> {
+    if mass <= 0.0 {
+        return None;
+    }
+    let (mass, old) = (f64::from(mass), f64::from(volume));
+    let ratio = (mass * material.specific_volume(f_l, t) / old).clamp(1.0 - SWELL, 1.0 + SWELL);
+    // Far below what anybody could see, far above rounding.
+    if (ratio - 1.0).abs() < 1e-6 { None } else { Some(((old * ratio) as f32, (1.0 / ratio).cbrt() as f32)) }
 }
 
 /// Scales the deviatoric Hencky strain of `f` by `factor`, keeping its volume ratio and both rotations of its SVD.
@@ -336,6 +399,55 @@ mod tests {
         let sharp = rule(PhaseMode::Mushy, |m| (m.latent_heat, m.liquidus) = (0.0, 325.0));
         assert!(sharp.law(325.2, sharp.fraction(325.2, 1.0), 0).mu < 4e4);
         assert!(sharp.law(325.2, sharp.fraction(325.2, 1.0), 0).mu > 1e4);
+    }
+
+    #[test]
+    fn tables_take_the_place_of_softening_and_arrhenius() {
+        let linear = |e: &[[f64; 2]]| crate::table::Table::linear(e).unwrap();
+        let log = |e: &[[f64; 2]]| crate::table::Table::log_linear(e).unwrap();
+        let r = rule(PhaseMode::Mushy, |m| {
+            m.softening = 0.5;
+            m.solid_yield_stress = 2e3;
+            m.tables.stiffness = linear(&[[300.0, 1.0], [320.0, 0.5]]);
+            m.tables.solid_yield = linear(&[[300.0, 1.0], [320.0, 0.2]]);
+            m.tables.melt_yield = log(&[[330.0, 10.0], [350.0, 0.1]]);
+            m.tables.melt_consistency = log(&[[330.0, 4.0], [350.0, 1.0]]);
+        });
+        assert!((r.law(310.0, 0.0, 0).mu - 3e4).abs() < 1.0 && (r.law(310.0, 0.0, 0).yield_stress - 1.2e3).abs() < 0.1);
+        let melt = r.law(340.0, 1.0, 1);
+        assert!((f64::from(melt.yield_stress) - 3f64.sqrt()).abs() < 1e-4);
+        assert!((f64::from(melt.viscosity) - 2.0 * 2f64.powf(0.9)).abs() < 1e-4);
+        // Through the mush the yield stress stays continuous.
+        assert!((r.law(330.0, 0.9999, 1).yield_stress / r.law(330.0, 1.0, 1).yield_stress - 1.0).abs() < 1e-2);
+    }
+
+    #[test]
+    fn laws_without_a_melt_keep_their_parameters_at_any_temperature() {
+        let law = |law: Law| rule(PhaseMode::Mushy, |m| (m.law, m.fluid_viscosity, m.softening) = (law, 0.7, 0.5));
+        let metal = law(Law::VonMises).update(5000.0, 1.0, state::SOLID, 4e4);
+        assert_eq!((metal.phase, metal.law.viscosity, metal.law.exponent, metal.strain_factor), (state::SOLID, 0.0, 1.0, 1.0));
+        let water = law(Law::Fluid);
+        assert_eq!((water.initial_phase(10.0, 0.0), water.liquid(0.0)), (state::LIQUID, 1.0));
+        let w = water.update(10.0, 0.0, state::LIQUID, 0.0).law;
+        assert_eq!((w.mu, w.viscosity, w.exponent), (0.0, 0.7, 7.0));
+    }
+
+    #[test]
+    fn reference_volumes_follow_phase_and_heat_in_small_steps() {
+        let m = Material { melt_density: Some(1000.0), expansion: 1e-3, ..wax() };
+        let (mass, mut volume) = (0.9f32, 1e-3f32);
+        assert_eq!(swell(&m, mass, volume, 0.0, 293.15), None);
+        let mut f = 1.0f64;
+        let mut steps = 0;
+        while let Some((v, factor)) = swell(&m, mass, volume, 1.0, 343.15) {
+            assert!((f64::from(v / volume) - 1.0).abs() <= 5.001e-3);
+            (volume, f, steps) = (v, f * f64::from(factor), steps + 1);
+        }
+        // 10 % smaller by melting, 5 % larger by heat.
+        assert!((f64::from(volume) / (0.9e-3 * 1.05) - 1.0).abs() < 2e-6, "{volume}");
+        assert!((f.powi(3) * f64::from(volume) / 1e-3 - 1.0).abs() < 1e-5, "the space taken stays: V⁰ det F");
+        assert!(steps > 5);
+        assert_eq!(swell(&m, 0.0, volume, 0.0, 293.15), None, "tracers have no volume");
     }
 
     #[test]

@@ -1,10 +1,12 @@
 //! The slow, obvious MLS-MPM step (simulation.md §2, §5.2): one point, one node, one law at a time, in any precision.
 //! The oracle of the fast kernels, and the double-precision instance of the physics suite.
 
-use megas_math::{Mat3, Real, Vec3, bspline, mat3, svd, vec3};
+mod laws;
+
+use megas_math::{Mat3, Real, Vec3, bspline, mat3, vec3};
 
 use crate::grid::Grid;
-use crate::particles::{FIXED_COROTATED, FLUID};
+pub use laws::{Law, State, energy, return_map, return_map_with, stress, viscous_stress};
 
 /// One material point.
 #[derive(Clone, Copy, Debug)]
@@ -21,23 +23,6 @@ pub struct Point<T> {
     pub mass: T,
     /// Reference volume \[m³\].
     pub volume: T,
-}
-
-/// A law with its parameters (units as in [`crate::particles::Particles`]).
-#[derive(Clone, Copy, Debug)]
-pub struct Law<T> {
-    /// One of the tags of [`crate::particles`].
-    pub law: u8,
-    /// μ.
-    pub shear: T,
-    /// K.
-    pub bulk: T,
-    /// σ_Y.
-    pub yield_stress: T,
-    /// η.
-    pub viscosity: T,
-    /// h.
-    pub exponent: T,
 }
 
 /// Masses and momenta (or velocities) of all nodes, indexed as [`Grid::index`].
@@ -100,63 +85,4 @@ pub fn g2p<T: Real>(grid: &Grid, nodes: &Nodes<T>, xi: Vec3<T>) -> (Vec3<T>, Mat
         c = mat3::add(c, mat3::scale(mat3::outer(nodes.motion[node], d), w * scale));
     });
     (v, c)
-}
-
-/// Kirchhoff stress of `f`.
-pub fn stress<T: Real>(law: &Law<T>, f: Mat3<T>) -> Mat3<T> {
-    let lambda = law.bulk - T::of(2.0 / 3.0) * law.shear;
-    let two = T::of(2.0);
-    if law.law == FLUID {
-        let j = f[0][0];
-        return mat3::scale(mat3::identity(), law.bulk * (j - T::one()) * j);
-    }
-    let d = svd::svd(f);
-    let tau = if law.law == FIXED_COROTATED {
-        let j = d.s[0] * d.s[1] * d.s[2];
-        d.s.map(|s| two * law.shear * (s * s - s) + lambda * (j - T::one()) * j)
-    } else {
-        let log = d.s.map(|s| s.max(T::of(0.05)).ln());
-        let trace = log[0] + log[1] + log[2];
-        log.map(|e| two * law.shear * e + lambda * trace)
-    };
-    mat3::congruence(d.u, mat3::diag(tau))
-}
-
-/// The gradient after plastic flow during `dt`, and the increment of plastic strain.
-pub fn return_map<T: Real>(law: &Law<T>, f: Mat3<T>, dt: T) -> (Mat3<T>, T) {
-    if law.law == FIXED_COROTATED || law.law == FLUID {
-        return (f, T::zero());
-    }
-    let two = T::of(2.0);
-    let root = T::of(2.0 / 3.0).sqrt();
-    let d = svd::svd(f);
-    let log = d.s.map(|s| s.max(T::of(0.05)).ln());
-    let mean = (log[0] + log[1] + log[2]) / T::of(3.0);
-    let e = log.map(|v| v - mean);
-    let trial = two * law.shear * vec3::norm(e);
-    let over = trial - root * law.yield_stress;
-    if over <= T::zero() || over.is_nan() {
-        return (f, T::zero());
-    }
-    let y = excess(law, over, two * law.shear * dt);
-    let ratio = (root * law.yield_stress + y) / trial;
-    let new = e.map(|v| (v * ratio + mean).exp());
-    (d.with_values(new), root * vec3::norm(e) * (T::one() - ratio))
-}
-
-/// Solves `y + k (y/η)^{1/h} = over` by bisection.
-fn excess<T: Real>(law: &Law<T>, over: T, k: T) -> T {
-    if law.viscosity == T::zero() {
-        return T::zero();
-    }
-    let (mut lo, mut hi) = (T::zero(), over);
-    for _ in 0..200 {
-        let y = (lo + hi) / T::of(2.0);
-        if y + k * (y / law.viscosity).powf(law.exponent.recip()) > over {
-            hi = y;
-        } else {
-            lo = y;
-        }
-    }
-    (lo + hi) / T::of(2.0)
 }

@@ -4,15 +4,17 @@ mod export;
 mod report;
 mod walls;
 
+use megas_math::mat3;
 use megas_model::Points;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::collider::Collider;
 use crate::grid::Grid;
 use crate::material::Material;
 use crate::mechanics::{Mechanics, Report, Settings};
 use crate::particles::{ParticleError, Particles};
-use crate::phase::{PhaseOptions, PhaseRule, scale_deviator};
+use crate::phase::{PhaseOptions, PhaseRule, scale_deviator, swell};
 use crate::source::HeatSource;
 use crate::thermal::{Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver};
 
@@ -56,6 +58,18 @@ pub struct SolverConfig {
     pub courant: f64,
     /// False leaves pure conduction in bodies at rest.
     pub mechanics: bool,
+    /// How mechanics and heat are joined.
+    pub coupling: Coupling,
+}
+
+/// How the parts are joined; the defaults are the method, the rest is for comparison (simulation.md §0.4).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Coupling {
+    /// Points give their nodes their mean velocity without its gradient (PIC instead of APIC).
+    pub plain_momentum: bool,
+    /// Heat is exchanged after every substep instead of every coupling step.
+    pub heat_every_substep: bool,
 }
 
 /// Why a simulation could not start or go on.
@@ -112,8 +126,6 @@ pub struct Solver {
     frame: u64,
     /// Coupling steps left with a halved substep, and by how much it is halved.
     cautious: (u32, f64),
-    /// Reference volume of all points and initial mass \[m³\], \[kg\].
-    volume0: f64,
     xi: Vec<[f64; 3]>,
     current_volume: Vec<f32>,
 }
@@ -138,15 +150,20 @@ impl Solver {
             let (t, f) = (thermal.temperature(m, h), thermal.liquid_fraction(m, h));
             let rule = &rules[usize::from(m)];
             let law = rule.initial_law(t, f);
-            particles.liquid[i] = f as f32;
+            particles.liquid[i] = rule.liquid(f) as f32;
             particles.phase[i] = rule.initial_phase(t, f);
             particles.shear[i] = law.mu;
             particles.yield_stress[i] = law.yield_stress;
             particles.viscosity[i] = law.viscosity;
             particles.exponent[i] = law.exponent;
+            let material = &config.materials[usize::from(m)];
+            if material.changes_volume() {
+                // Volumes are those of the start, so masses follow from the density at its temperature and phase.
+                particles.mass[i] = (f64::from(particles.volume[i]) / material.specific_volume(f, t)) as f32;
+            }
         }
         particles.sort();
-        let settings = Settings { gravity: config.gravity, ..Settings::default() };
+        let settings = Settings { gravity: config.gravity, plain_momentum: config.coupling.plain_momentum, ..Settings::default() };
         let mechanics = Mechanics::new(&config.grid, settings, config.colliders.clone());
         let walls = Walls::new(&config.grid, &config.colliders);
         Ok(Self {
@@ -158,7 +175,6 @@ impl Solver {
             totals: Totals::default(),
             frame: 0,
             cautious: (0, 1.0),
-            volume0,
             xi: Vec::new(),
             current_volume: Vec::new(),
             config,
@@ -242,13 +258,26 @@ impl Solver {
             self.coupling_step(start + c as f64 * dt, dt, &mut report)?;
         }
         self.frame += 1;
-        report.finish(self.frame, self.time(), &self.particles, self.volume0, &self.config.materials);
+        report.finish(self.frame, self.time(), &self.particles, &self.config.materials);
         self.totals.append(&report);
         Ok(Some(report))
     }
 
-    /// One exchange between mechanics and heat, repeated with smaller substeps if it fails (§9.3).
+    /// The exchanges of one coupling step: one, or one for each substep where that is asked for.
     fn coupling_step(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<(), SimError> {
+        if !(self.config.coupling.heat_every_substep && self.config.mechanics) {
+            return self.exchange(time, dt, report);
+        }
+        let substeps = self.mechanics.time_step(&self.particles, dt).steps as f64 * DEFAULT_COURANT / self.config.courant;
+        let count = substeps.ceil().clamp(1.0, MAX_SUBSTEPS as f64);
+        for k in 0..count as u64 {
+            self.exchange(time + k as f64 * dt / count, dt / count, report)?;
+        }
+        Ok(())
+    }
+
+    /// One exchange between mechanics and heat, repeated with smaller substeps if it fails (§9.3).
+    fn exchange(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<(), SimError> {
         if self.config.mechanics {
             self.move_points(time, dt, report)?;
         }
@@ -335,7 +364,7 @@ impl Solver {
         p.grid_coordinates(&mut self.xi);
         self.current_volume.resize(p.len(), 0.0);
         self.current_volume.par_iter_mut().with_min_len(4096).enumerate().for_each(|(i, v)| {
-            let j = megas_math::mat3::det(p.elastic(i)).clamp(0.6, 1.4);
+            let j = p.volume_ratio(i).clamp(0.6, 1.4);
             *v = p.volume[i] * j;
         });
         let mut points = ThermalPoints {
@@ -357,12 +386,15 @@ impl Solver {
         let p = &mut self.particles;
         let (thermal, rules) = (&self.thermal, &self.rules);
         let mut rescaled: Vec<(usize, f32)> = Vec::new();
+        let materials = &self.config.materials;
+        let swells: Vec<bool> = materials.iter().map(Material::changes_volume).collect();
         for i in 0..p.len() {
             let m = p.material[i];
             let h = p.enthalpy[i];
             let (t, f) = (thermal.temperature(m, h), thermal.liquid_fraction(m, h));
-            let update = rules[usize::from(m)].update(t, f, p.phase[i], p.shear[i]);
-            p.liquid[i] = f as f32;
+            let rule = &rules[usize::from(m)];
+            let update = rule.update(t, f, p.phase[i], p.shear[i]);
+            p.liquid[i] = rule.liquid(f) as f32;
             p.phase[i] = update.phase;
             p.shear[i] = update.law.mu;
             p.yield_stress[i] = update.law.yield_stress;
@@ -371,8 +403,17 @@ impl Solver {
             if update.strain_factor != 1.0 {
                 rescaled.push((i, update.strain_factor));
             }
+            if swells[usize::from(m)]
+                && let Some((volume, factor)) = swell(&materials[usize::from(m)], p.mass[i], p.volume[i], f, t)
+            {
+                let before = p.elastic(i);
+                let after = mat3::scale(before, factor);
+                p.volume[i] = volume;
+                p.record_rebase(i, before, after);
+                p.set_elastic(i, after);
+            }
             if update.frozen {
-                p.plastic_strain[i] = 0.0;
+                (p.plastic_strain[i], p.volume_gain[i]) = (0.0, 0.0);
             }
         }
         let particles = &*p;

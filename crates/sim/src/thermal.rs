@@ -12,7 +12,7 @@ pub(crate) mod transfer;
 use serde::{Deserialize, Serialize};
 
 pub use enthalpy::EnthalpyCurve;
-pub use estimate::{acceleration, film_flux, forced_film_coefficient, melting_time, natural_film_coefficient};
+pub use estimate::natural_film_coefficient;
 pub use solver::{NodeFields, ThermalSolver};
 
 use crate::source::Film;

@@ -27,6 +27,7 @@ fn wax() -> Material {
         solidus: 325.0,
         liquidus: 330.0,
         phase_mode: PhaseMode::Mushy,
+        ..Material::default()
     }
 }
 

@@ -8,7 +8,7 @@ use megas_sim::collider::{Collider, Shape};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
 use megas_sim::phase::{PhaseOptions, scale_deviator};
-use megas_sim::solver::{Solver, SolverConfig};
+use megas_sim::solver::{Coupling, Solver, SolverConfig};
 use megas_sim::source::{Film, HeatSource, Motion, Region, Schedule, SourceKind};
 use megas_sim::thermal::ThermalOptions;
 
@@ -53,6 +53,7 @@ fn wax() -> Material {
         solidus: 299.5,
         liquidus: 300.5,
         phase_mode: PhaseMode::Mushy,
+        ..Material::default()
     }
 }
 
@@ -92,6 +93,7 @@ fn config(grid: Grid, material: Material, sources: Vec<HeatSource>) -> SolverCon
         coupling_step: 2e-3,
         courant: 0.4,
         mechanics: true,
+        coupling: Coupling::default(),
     }
 }
 

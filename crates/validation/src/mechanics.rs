@@ -178,7 +178,7 @@ fn shear_flow() -> Outcome {
     let mut rows = Vec::new();
     let cases = [(1e4, 100.0, 20.0, 1.0, 10.0, 157.735), (1e4, 100.0, 20.0, 0.5, 10.0, 95.341), (1e4, 0.0, 2.0, 1.0, 50.0, 50.0)];
     for (shear, yield_stress, viscosity, exponent, rate, reference) in cases {
-        let law = Law { law: HENCKY, shear, bulk: 3e4, yield_stress, viscosity, exponent };
+        let law = Law { law: HENCKY, shear, bulk: 3e4, yield_stress, viscosity, exponent, constant: 0.0 };
         let name = format!("σ_Y {yield_stress}, η {viscosity}, h {exponent}: τ_xy [Pa]");
         for dt in [1e-3, 1e-4] {
             let mut f = mat3::identity::<f64>();
@@ -206,6 +206,7 @@ fn shear_flow() -> Outcome {
             yield_stress: yield_stress as f32,
             viscosity: viscosity as f32,
             exponent: exponent as f32,
+            constant: 0.0,
         };
         let dt = 1e-4f32;
         let mut h: Mat3<f32> = [[0.0; 3]; 3];
@@ -241,6 +242,7 @@ fn flow_curves() -> Plot {
             yield_stress: yield_stress as f32,
             viscosity: viscosity as f32,
             exponent: exponent as f32,
+            constant: 0.0,
         };
         let stress = |rate: f64| {
             let mut h: Mat3<f32> = [[0.0; 3]; 3];

@@ -5,7 +5,7 @@
 //! batch from the stored F. Nothing but [`Particles`] carries over from one batch to the next, which is why a checkpoint
 //! of them restarts bitwise.
 
-mod constitutive;
+mod laws;
 mod nodes;
 mod pass;
 mod time_step;
@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::collider::{Collider, Placed, placed};
 use crate::grid::Grid;
 use crate::particles::Particles;
-pub use constitutive::material_point;
+pub use laws::{material_point, material_point_with};
 use nodes::{GridStep, Nodes};
 use pass::{Outcome, Sweep, sweep};
 pub use time_step::TimeStep;
@@ -66,6 +66,8 @@ pub struct Settings {
     pub drag: f64,
     /// Affine damping ζ, 0–1 (1 keeps only rotation).
     pub affine_damping: f64,
+    /// PIC in place of APIC: momentum goes to the nodes without its gradient, which damps (for comparison).
+    pub plain_momentum: bool,
     /// Low and high face per axis.
     pub walls: [[Wall; 2]; 3],
     /// Rule at the faces.
@@ -84,6 +86,7 @@ impl Default for Settings {
             gravity: [0.0, 0.0, -9.81],
             drag: 0.0,
             affine_damping: 0.0,
+            plain_momentum: false,
             walls: [[Wall::Slip; 2]; 3],
             bounds: Bounds::Clamp,
             flow: FlowStiffness::Hencky,
@@ -259,6 +262,7 @@ impl Mechanics {
             speed_cap: self.speed_cap(dt) as f32,
             nodes: self.grid.nodes,
             affine_damping: self.settings.affine_damping as f32,
+            lever: if self.settings.plain_momentum { 0.0 } else { self.grid.spacing as f32 },
             track_total: self.settings.track_total,
             yue: self.settings.flow == FlowStiffness::Yue,
             bounds: self.settings.bounds,

@@ -7,11 +7,11 @@ use megas_math::simd::{Lanes, Mat3s, each3, each6, each9};
 use megas_math::{Mat3, mat3, svd};
 use megas_model::{FLAG_ESCAPED, FLAG_REPAIRED};
 
-use super::constitutive::{Mask, Parameters, respond};
+use super::laws::{Flow, Laws, Mask, Parameters, advance_fluid, respond};
 use super::transfer::{CHUNK, Stencils, TILE, TILE_ORIGIN, Tile, complete_tracer, gather, scatter};
 use super::view::View;
 use super::{Bounds, Repairs};
-use crate::particles::{AXIS_BITS, AXIS_MASK, FIXED_COROTATED, FLUID, HENCKY, MARGIN, pack, rebased, unpack};
+use crate::particles::{AXIS_BITS, AXIS_MASK, DRUCKER_PRAGER, FLUID, MARGIN, VON_MISES, pack, rebased, unpack};
 
 /// Constants of a sweep.
 #[derive(Clone, Copy)]
@@ -28,6 +28,8 @@ pub(crate) struct Sweep {
     pub nodes: [usize; 3],
     /// Share of the symmetric part of C that is removed each substep.
     pub affine_damping: f32,
+    /// Node spacing as the lever of the affine momentum \[m\]; 0 leaves it out.
+    pub lever: f32,
     /// Update Fᴿ.
     pub track_total: bool,
     /// Yue's μ̂.
@@ -200,14 +202,17 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
             let here = &mut records[sub..sub + lanes];
             let mass = load(s, view.mass, at, 0.0);
             let volume = load(s, view.volume, at, 0.0);
-            let laws = law_lanes(s, view.law, at);
+            let laws = Laws::new(&view.law[at..view.law.len().min(at + lanes)]);
+            let plain = |used: bool, slice: &[f32]| if used { load(s, slice, at, 0.0) } else { zero };
             let law = Parameters {
                 shear: load(s, view.shear, at, 0.0),
                 bulk: load(s, view.bulk, at, 0.0),
                 yield_stress: load(s, view.yield_stress, at, f32::INFINITY),
                 viscosity: load(s, view.viscosity, at, 0.0),
                 exponent: load(s, view.exponent, at, 1.0),
-                corotated: laws.corotated,
+                constant: plain(laws.any(VON_MISES) | laws.any(DRUCKER_PRAGER) | laws.any(FLUID), view.constant),
+                plastic: if GATHER { load(s, view.plastic, at, 0.0) } else { zero },
+                gain: plain(laws.any(DRUCKER_PRAGER), view.gain),
             };
             let mut g = each3(
                 #[inline(always)]
@@ -264,17 +269,14 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
                     store_matrix::<S>(&f, &mut view.total, at);
                 }
                 let trial = advance::<S>(&increment, &h);
-                if laws.has & (1 << FLUID) != 0 {
-                    // J ← J (1 + Δt tr C).
-                    let trace = increment[0][0] + increment[1][1] + increment[2][2];
-                    let j = trace.mul_add(h[0][0] + 1.0, h[0][0]);
-                    h = each9(
-                        #[inline(always)]
-                        |r, c| laws.fluid.select(if r == 0 && c == 0 { j } else { zero }, trial[r][c]),
-                    );
+                h = if laws.any(FLUID) {
+                    let (next, squeezed) = advance_fluid(s, &trial, &h, &increment, law.constant, laws.lanes(s, FLUID));
+                    let valid = (1u64 << lanes.min(count - at)) - 1;
+                    outcome.repairs.degenerate += u64::from((squeezed.to_bitmask() & valid).count_ones());
+                    next
                 } else {
-                    h = trial;
-                }
+                    trial
+                };
             } else {
                 v = each3(
                     #[inline(always)]
@@ -283,43 +285,22 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
                 c = load_matrix(s, &view.affine, at);
                 isolated = Mask::<S>::splat(s, false);
             }
-            let mut stress = [zero; 6];
-            let mut j = h[0][0] + 1.0;
-            if laws.has & !(1 << FLUID) != 0 {
-                let has = |law: u8| laws.has & (1 << law) != 0;
-                let flow = if GATHER { Some(k.dt) } else { None };
-                let r = respond(s, h, &law, has(HENCKY), has(FIXED_COROTATED), flow, k.yue);
-                stress = r.stress;
-                let mut elastic = r.elastic;
-                if has(FLUID) {
-                    for a in 0..3 {
-                        for b in 0..3 {
-                            elastic[a][b] = laws.fluid.select(h[a][b], elastic[a][b]);
-                        }
-                    }
-                    j = laws.fluid.select(j, r.volume);
-                } else {
-                    j = r.volume;
-                }
-                let broken = r.degenerate & !laws.fluid;
-                if broken.any_true() {
-                    let keep = !broken;
-                    stress = each6(|k| keep.select(stress[k], zero));
-                    j = keep.select(j, splat(1.0));
-                    repair(s, view, at, broken.to_bitmask(), &mut elastic, &mut outcome);
-                }
-                h = elastic;
-                if GATHER {
-                    let plastic = load(s, view.plastic, at, 0.0) + r.plastic;
-                    if r.plastic.simd_gt(zero).any_true() {
-                        store::<S>(plastic, view.plastic, at);
-                    }
-                }
+            let flow = if GATHER { Some(Flow { dt: k.dt, yue: k.yue }) } else { None };
+            let r = respond(s, h, &c, &law, &laws, flow);
+            let (mut stress, mut j) = (r.stress, r.volume);
+            h = r.elastic;
+            if r.degenerate.any_true() {
+                let keep = !r.degenerate;
+                stress = each6(|k| keep.select(stress[k], zero));
+                j = keep.select(j, splat(1.0));
+                repair(s, view, at, r.degenerate.to_bitmask(), &mut h, &mut outcome);
             }
-            if laws.has & (1 << FLUID) != 0 {
-                let pressure = law.bulk * (j - 1.0) * j;
-                for i in 0..6 {
-                    stress[i] = laws.fluid.select(if i < 3 { pressure } else { zero }, stress[i]);
+            if GATHER {
+                if r.plastic.simd_gt(zero).any_true() {
+                    store::<S>(law.plastic + r.plastic, view.plastic, at);
+                }
+                if laws.any(DRUCKER_PRAGER) {
+                    store::<S>(r.gain, view.gain, at);
                 }
             }
             if GATHER {
@@ -330,7 +311,7 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
             if SCATTER {
                 // A Δx = −Δt V⁰ (4/Δx) τ + m Δx C, columns per node spacing.
                 let impulse = isolated.select(zero, volume * (-k.dt * 4.0 * k.inv_dx));
-                let lever = mass * k.dx;
+                let lever = mass * k.lever;
                 let [xx, yy, zz, xy, xz, yz] = stress;
                 let tau = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
                 let a = |r: usize, col: usize| impulse.mul_add(tau[r][col], lever * c[r][col]);
@@ -363,32 +344,6 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
     outcome.speed2 = speed2.reduce_max();
     outcome.volume = (least_j.reduce_min(), most_j.reduce_max());
     (outcome, regions)
-}
-
-/// Which laws a group of lanes follows.
-struct Laws<S: Simd> {
-    corotated: Mask<S>,
-    fluid: Mask<S>,
-    /// Bit per law that occurs.
-    has: u32,
-}
-
-#[inline(always)]
-fn law_lanes<S: Simd>(s: S, law: &[u8], at: usize) -> Laws<S> {
-    let mine = &law[at..law.len().min(at + Lanes::<S>::LEN)];
-    let first = mine[0];
-    if mine.iter().all(|&l| l == first) {
-        return Laws {
-            corotated: Mask::<S>::splat(s, first == FIXED_COROTATED),
-            fluid: Mask::<S>::splat(s, first == FLUID),
-            has: 1 << first.min(FLUID),
-        };
-    }
-    let mask = |which: u8| {
-        let bits = mine.iter().enumerate().fold(0u64, |m, (i, &l)| m | (u64::from(l == which) << i));
-        Mask::<S>::from_bitmask(s, bits)
-    };
-    Laws { corotated: mask(FIXED_COROTATED), fluid: mask(FLUID), has: mine.iter().fold(0, |m, &l| m | 1 << l.min(FLUID)) }
 }
 
 /// Velocity and affine matrix out of a G2P record, capped and cleaned.

@@ -5,7 +5,7 @@ use megas_math::{mat3, vec3};
 
 use super::*;
 use crate::collider::Shape;
-use crate::particles::{FIXED_COROTATED, FLUID, HENCKY};
+use crate::particles::{DRUCKER_PRAGER, FIXED_COROTATED, FLUID, HENCKY, NEO_HOOKEAN, NEO_HOOKEAN_SPLIT, VON_MISES};
 use crate::reference::{self, Law, Point};
 
 const GRID: Grid = Grid { origin: [-0.3, 0.1, 0.0], spacing: 0.02, nodes: [22, 30, 19] };
@@ -19,12 +19,18 @@ fn cloud(count: usize, seed: u64) -> Particles {
         p.set_position(i, std::array::from_fn(|a| GRID.origin[a] + GRID.spacing * rng.range(4.0, GRID.nodes[a] as f64 - 5.0)));
         p.mass[i] = rng.range(0.5, 2.0) as f32 * 1e-3;
         p.volume[i] = p.mass[i] / 1000.0;
-        p.law[i] = [HENCKY, HENCKY, FIXED_COROTATED, FLUID][rng.below(4)];
+        p.law[i] = [HENCKY, HENCKY, FIXED_COROTATED, FLUID, NEO_HOOKEAN, NEO_HOOKEAN_SPLIT, VON_MISES, DRUCKER_PRAGER][rng.below(8)];
         p.shear[i] = rng.range(1e3, 1e4) as f32;
         p.bulk[i] = rng.range(1e4, 3e4) as f32;
         p.yield_stress[i] = if i % 3 == 0 { f32::INFINITY } else { rng.range(0.0, 300.0) as f32 };
         p.viscosity[i] = rng.range(0.1, 10.0) as f32;
         p.exponent[i] = [1.0, 0.5, 1.5][rng.below(3)];
+        match p.law[i] {
+            FLUID => (p.exponent[i], p.law_constant[i]) = ([7.0, -1.0][rng.below(2)], 1.05),
+            VON_MISES => p.law_constant[i] = 2e3,
+            DRUCKER_PRAGER => p.law_constant[i] = 0.3,
+            _ => {}
+        }
         p.set_velocity(i, [0, 1, 2].map(|_| rng.range(-1.0, 1.0) as f32));
         p.set_affine(i, [0; 3].map(|_| [0; 3].map(|_| rng.range(-3.0, 3.0) as f32)));
         let mut h = [0; 3].map(|_| [0; 3].map(|_| rng.range(-0.1, 0.1) as f32));
@@ -44,7 +50,13 @@ fn law_of(p: &Particles, i: usize) -> Law<f64> {
         yield_stress: p.yield_stress[i].into(),
         viscosity: p.viscosity[i].into(),
         exponent: p.exponent[i].into(),
+        constant: p.law_constant[i].into(),
     }
+}
+
+/// The stored gradient; of a fluid J in its first entry.
+fn gradient(p: &Particles, i: usize) -> megas_math::Mat3<f64> {
+    mat3::add(mat3::cast(p.displacement_gradient(i)), mat3::identity())
 }
 
 fn points_of(p: &Particles) -> Vec<Point<f64>> {
@@ -53,7 +65,7 @@ fn points_of(p: &Particles) -> Vec<Point<f64>> {
             xi: p.grid_coordinate(i),
             velocity: vec3::cast(p.velocity(i)),
             affine: mat3::cast(p.affine(i)),
-            elastic: mat3::add(mat3::cast(p.displacement_gradient(i)), mat3::identity()),
+            elastic: gradient(p, i),
             mass: p.mass[i].into(),
             volume: p.volume[i].into(),
         })
@@ -71,9 +83,14 @@ fn three_substeps_follow_the_oracle() {
     let mut points = points_of(&p);
     let laws: Vec<_> = (0..p.len()).map(|i| law_of(&p, i)).collect();
     let dt = 1e-4;
+    let mut states = vec![reference::State::default(); points.len()];
     let mut total: Vec<_> = points.iter().map(|_| mat3::identity::<f64>()).collect();
     for _ in 0..3 {
-        let tau: Vec<_> = points.iter().zip(&laws).map(|(q, l)| reference::stress(l, q.elastic)).collect();
+        let tau: Vec<_> = points
+            .iter()
+            .zip(&laws)
+            .map(|(q, l)| mat3::add(reference::stress(l, q.elastic), reference::viscous_stress(l, q.elastic[0][0], q.affine)))
+            .collect();
         let mut nodes = reference::p2g(&GRID, &points, dt, |i| tau[i]);
         reference::update(&mut nodes, dt, [0.0, 0.0, -9.81]);
         for (i, q) in points.iter_mut().enumerate() {
@@ -82,9 +99,9 @@ fn three_substeps_follow_the_oracle() {
             let step = mat3::add(mat3::identity(), mat3::scale(q.affine, dt));
             total[i] = mat3::mul(step, total[i]);
             if laws[i].law == FLUID {
-                q.elastic[0][0] *= 1.0 + dt * mat3::trace(q.affine);
+                q.elastic[0][0] = (q.elastic[0][0] * (1.0 + dt * mat3::trace(q.affine))).min(laws[i].constant);
             } else {
-                q.elastic = reference::return_map(&laws[i], mat3::mul(step, q.elastic), dt).0;
+                q.elastic = reference::return_map_with(&laws[i], mat3::mul(step, q.elastic), dt, &mut states[i]);
             }
         }
     }
@@ -100,10 +117,12 @@ fn three_substeps_follow_the_oracle() {
         assert!(vec3::norm(vec3::sub(v, q.velocity)) < 1e-5, "{i}: {v:?} {:?}", q.velocity);
         let c = mat3::sub(mat3::cast(p.affine(i)), q.affine);
         assert!(mat3::norm(c) < 2e-3, "{i}: C off by {:e} of {:e}", mat3::norm(c), mat3::norm(q.affine));
-        let f = mat3::sub(mat3::cast(p.elastic(i)), q.elastic);
+        let f = mat3::sub(gradient(&p, i), q.elastic);
         assert!(mat3::norm(f) < 3e-6, "{i}: F off by {:e}", mat3::norm(f));
         let t = mat3::sub(mat3::cast(p.total(i)), total[i]);
         assert!(mat3::norm(t) < 3e-6, "{i}: total off by {:e}", mat3::norm(t));
+        assert!((f64::from(p.plastic_strain[i]) - states[i].plastic).abs() < 3e-6, "{i}: plastic strain");
+        assert!((f64::from(p.volume_gain[i]) - states[i].gain).abs() < 3e-6, "{i}: volume gain");
     }
 }
 

@@ -6,13 +6,15 @@ use megas_math::simd::symmetric::Traceless;
 use rayon::prelude::*;
 
 use super::Mechanics;
-use super::constitutive::left_strain;
+use super::laws::left_strain;
 use crate::particles::{FLUID, Particles};
 
 /// Elastic Courant number C_e.
 const ELASTIC: f64 = 0.4;
 /// Advective Courant number C_a.
 const ADVECTIVE: f64 = 0.3;
+/// Stability number of explicit viscosity, `Δt ≤ 0.1 ρ Δx²/μ_v`.
+const VISCOUS: f64 = 0.1;
 /// Largest stiffening factor χ.
 const MAX_STIFFENING: f64 = 3.0;
 /// Points per unit of parallel work.
@@ -40,15 +42,21 @@ impl Mechanics {
     pub fn time_step(&self, p: &Particles, interval: f64) -> TimeStep {
         let n = p.len();
         let level = self.level;
-        let parts: Vec<(f32, usize, f32, f32)> = (0..n.div_ceil(CHUNK))
+        let parts: Vec<Scan> = (0..n.div_ceil(CHUNK))
             .into_par_iter()
             .map(|k| dispatch!(level, s => scan(s, p, k * CHUNK, ((k + 1) * CHUNK).min(n))))
             .collect();
-        let (c2, stiffest, speed2, stretch2) = parts.into_iter().fold((0.0f32, 0, 0.0f32, 1.0f32), |a, b| {
-            let (c2, at) = if b.0 > a.0 { (b.0, b.1) } else { (a.0, a.1) };
-            (c2, at, a.2.max(b.2), a.3.min(b.3))
+        let Scan { wave2, stiffest, speed2, stretch2, viscosity } = parts.into_iter().fold(Scan::NONE, |a, b| {
+            let (wave2, stiffest) = if b.wave2 > a.wave2 { (b.wave2, b.stiffest) } else { (a.wave2, a.stiffest) };
+            Scan {
+                wave2,
+                stiffest,
+                speed2: a.speed2.max(b.speed2),
+                stretch2: a.stretch2.min(b.stretch2),
+                viscosity: a.viscosity.max(b.viscosity),
+            }
         });
-        let wave_speed = f64::from(c2).sqrt();
+        let wave_speed = f64::from(wave2).sqrt();
         let max_speed = f64::from(speed2).sqrt().max(self.obstacle_speed(self.time, interval));
         let stiffening = (1.0 / f64::from(stretch2).max(1e-6).sqrt()).clamp(1.0, MAX_STIFFENING);
         let dx = self.grid.spacing;
@@ -58,20 +66,45 @@ impl Mechanics {
                 dt = dt.min(limit * dx / speed);
             }
         }
+        if viscosity > 0.0 {
+            dt = dt.min(VISCOUS * dx * dx / f64::from(viscosity));
+        }
         let steps = (interval / dt).ceil().max(1.0) as usize;
         TimeStep { steps, dt: interval / steps as f64, wave_speed, max_speed, stiffening, stiffest }
     }
 }
 
-/// Largest squared wave speed and where, largest squared speed, and a lower bound of the smallest squared stretch.
+/// What limits the step in a range of points.
+struct Scan {
+    /// Largest squared wave speed \[m²/s²\], and its point.
+    wave2: f32,
+    stiffest: usize,
+    /// Largest squared speed \[m²/s²\].
+    speed2: f32,
+    /// Lower bound of the smallest squared stretch, or what stiffens a fluid as much.
+    stretch2: f32,
+    /// Largest kinematic viscosity of a fluid \[m²/s\].
+    viscosity: f32,
+}
+
+impl Scan {
+    const NONE: Self = Self { wave2: 0.0, stiffest: 0, speed2: 0.0, stretch2: 1.0, viscosity: 0.0 };
+}
+
 #[inline(always)]
-fn scan<S: Simd>(s: S, p: &Particles, from: usize, to: usize) -> (f32, usize, f32, f32) {
-    let mut wave = (0.0f32, from);
+fn scan<S: Simd>(s: S, p: &Particles, from: usize, to: usize) -> Scan {
+    let mut found = Scan { stiffest: from, ..Scan::NONE };
     for i in from..to {
         if p.mass[i] > 0.0 {
             let c2 = (p.bulk[i] + p.shear[i] * (4.0 / 3.0)) * p.volume[i] / p.mass[i];
-            if c2 > wave.0 {
-                wave = (c2, i);
+            if c2 > found.wave2 {
+                (found.wave2, found.stiffest) = (c2, i);
+            }
+            if p.law[i] == FLUID {
+                found.viscosity = found.viscosity.max(p.viscosity[i] * p.volume[i] / p.mass[i]);
+                // Tait: c² grows like J^{1−γ}, so J^{γ−1} stands in for the squared stretch.
+                let j = (p.elastic[0][i] + 1.0).clamp(0.1, 1.0);
+                found.stretch2 = found.stretch2.min(j.powf((p.exponent[i] - 1.0).max(0.0)));
             }
         }
     }
@@ -93,5 +126,7 @@ fn scan<S: Simd>(s: S, p: &Particles, from: usize, to: usize) -> (f32, usize, f3
         let lowest = mean + 1.0 - (Traceless::<S>::new(x).p * (4.0 / 3.0)).sqrt();
         stretch2 = stretch2.min(lowest);
     }
-    (wave.0, wave.1, speed2.reduce_max(), stretch2.reduce_min())
+    found.speed2 = speed2.reduce_max();
+    found.stretch2 = found.stretch2.min(stretch2.reduce_min());
+    found
 }

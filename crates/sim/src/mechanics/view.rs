@@ -14,6 +14,7 @@ pub(crate) struct View<'a> {
     pub elastic: [&'a mut [f32]; 9],
     pub total: [&'a mut [f32]; 9],
     pub plastic: &'a mut [f32],
+    pub gain: &'a mut [f32],
     pub flags: &'a mut [u16],
     pub rebase: &'a mut [[f32; 9]],
     pub mass: &'a [f32],
@@ -23,6 +24,7 @@ pub(crate) struct View<'a> {
     pub yield_stress: &'a [f32],
     pub viscosity: &'a [f32],
     pub exponent: &'a [f32],
+    pub constant: &'a [f32],
     pub liquid: &'a [f32],
     pub law: &'a [u8],
 }
@@ -59,6 +61,8 @@ pub(crate) fn views(p: &mut Particles) -> Vec<View<'_>> {
         yield_stress,
         viscosity,
         exponent,
+        law_constant,
+        volume_gain,
         liquid,
         law,
         ..
@@ -69,6 +73,7 @@ pub(crate) fn views(p: &mut Particles) -> Vec<View<'_>> {
     let mut affine = affine.each_mut().map(Vec::as_mut_slice);
     let mut elastic = elastic.each_mut().map(Vec::as_mut_slice);
     let mut total = total.each_mut().map(Vec::as_mut_slice);
+    let (mut constant, mut gain) = (law_constant.as_slice(), volume_gain.as_mut_slice());
     let (mut plastic, mut flags, mut rebase) = (plastic_strain.as_mut_slice(), flags.as_mut_slice(), rebase.as_mut_slice());
     let (mut mass, mut volume, mut shear, mut bulk) = (mass.as_slice(), volume.as_slice(), shear.as_slice(), bulk.as_slice());
     let (mut yield_stress, mut viscosity, mut exponent) = (yield_stress.as_slice(), viscosity.as_slice(), exponent.as_slice());
@@ -86,6 +91,7 @@ pub(crate) fn views(p: &mut Particles) -> Vec<View<'_>> {
                 elastic: elastic.each_mut().map(|a| cut_mut(a, n)),
                 total: total.each_mut().map(|a| cut_mut(a, n)),
                 plastic: cut_mut(&mut plastic, n),
+                gain: cut_mut(&mut gain, n),
                 flags: cut_mut(&mut flags, n),
                 rebase: cut_mut(&mut rebase, n),
                 mass: cut(&mut mass, n),
@@ -95,6 +101,7 @@ pub(crate) fn views(p: &mut Particles) -> Vec<View<'_>> {
                 yield_stress: cut(&mut yield_stress, n),
                 viscosity: cut(&mut viscosity, n),
                 exponent: cut(&mut exponent, n),
+                constant: cut(&mut constant, n),
                 liquid: cut(&mut liquid, n),
                 law: cut(&mut law, n),
             }

@@ -12,12 +12,25 @@ use crate::grid::Grid;
 use crate::material::{Law, Material};
 pub use sort::Block;
 
-/// [`Particles::law`]: StVK with Hencky strain, von Mises / Herschel–Bulkley flow above the yield stress.
+/// [`Particles::law`]: StVK with Hencky strain, Herschel–Bulkley flow above the yield stress.
 pub const HENCKY: u8 = 0;
 /// [`Particles::law`]: fixed corotated elasticity.
 pub const FIXED_COROTATED: u8 = 1;
-/// [`Particles::law`]: pressure `−K (J − 1)` only; the elastic gradient holds J in its first entry.
+/// [`Particles::law`]: weakly compressible fluid; the stored gradient holds J in its first entry.
 pub const FLUID: u8 = 2;
+/// [`Particles::law`]: compressible neo-Hookean elasticity.
+pub const NEO_HOOKEAN: u8 = 3;
+/// [`Particles::law`]: neo-Hookean elasticity split into shear and volume.
+pub const NEO_HOOKEAN_SPLIT: u8 = 4;
+/// [`Particles::law`]: Hencky elasticity with von Mises yield and linear hardening.
+pub const VON_MISES: u8 = 5;
+/// [`Particles::law`]: Hencky elasticity with Drucker–Prager yield (sand).
+pub const DRUCKER_PRAGER: u8 = 6;
+
+/// Exponent γ of Tait's equation of state for liquids.
+pub const TAIT_EXPONENT: f64 = 7.0;
+/// Largest J of a fluid: beyond it the fluid opens instead of pulling (simulation.md §5.1).
+pub const MAX_FLUID_J: f64 = 1.001;
 
 /// Points keep at least this many nodes away from each face of the box (simulation.md §9.3).
 pub const MARGIN: usize = 2;
@@ -95,10 +108,14 @@ pub struct Particles {
     pub bulk: Vec<f32>,
     /// Uniaxial yield stress σ_Y \[Pa\]; infinite = elastic.
     pub yield_stress: Vec<f32>,
-    /// Herschel–Bulkley viscosity η \[Pa·s^h\]; 0 = rate-independent von Mises flow.
+    /// Herschel–Bulkley viscosity η \[Pa·s^h\]; 0 = rate-independent von Mises flow. Of a fluid its viscosity μ_v \[Pa·s\].
     pub viscosity: Vec<f32>,
-    /// Flow exponent h, 0.2–2.
+    /// Flow exponent h, 0.2–2; of a fluid the exponent γ of its pressure, −1 for `p = K (1 − J)`.
     pub exponent: Vec<f32>,
+    /// The law's own constant: hardening modulus H \[Pa\] of von Mises, slope α_f of Drucker–Prager, largest J of a fluid.
+    pub law_constant: Vec<f32>,
+    /// Volume gain of Drucker–Prager sand that is still to be closed, as a Hencky strain.
+    pub volume_gain: Vec<f32>,
     /// Accumulated plastic strain √(2/3) Σ |Δe|.
     pub plastic_strain: Vec<f32>,
     /// Liquid mass fraction, 0–1.
@@ -111,7 +128,8 @@ pub struct Particles {
     pub normal: Vec<[f32; 3]>,
     /// Rebase matrix accumulated since the last frame, row by row (simulation.md §7.5).
     pub rebase: Vec<[f32; 9]>,
-    /// Constitutive law: [`HENCKY`], [`FIXED_COROTATED`] or [`FLUID`].
+    /// Constitutive law: [`HENCKY`], [`FIXED_COROTATED`], [`FLUID`], [`NEO_HOOKEAN`], [`NEO_HOOKEAN_SPLIT`], [`VON_MISES`] or
+    /// [`DRUCKER_PRAGER`].
     pub law: Vec<u8>,
     /// Index into the scene's material list.
     pub material: Vec<u8>,
@@ -130,11 +148,11 @@ macro_rules! each_array {
     ($p:expr, $refer:tt, $name:ident, $a:ident => $body:expr) => {{
         let Particles {
             grid: _, sorted: _, blocks: _, cell, offset, velocity, affine, elastic, total, mass, volume, shear, bulk,
-            yield_stress, viscosity, exponent, plastic_strain, liquid, enthalpy, temperature_gradient, normal, rebase, law,
+            yield_stress, viscosity, exponent, law_constant, volume_gain, plastic_strain, liquid, enthalpy, temperature_gradient, normal, rebase, law,
             material, phase, object, flags, id,
         } = $p;
-        each_array!(@one $name, $a, $body; cell, mass, volume, shear, bulk, yield_stress, viscosity, exponent, plastic_strain,
-            liquid, enthalpy, temperature_gradient, normal, rebase, law, material, phase, object, flags, id);
+        each_array!(@one $name, $a, $body; cell, mass, volume, shear, bulk, yield_stress, viscosity, exponent, law_constant, volume_gain,
+            plastic_strain, liquid, enthalpy, temperature_gradient, normal, rebase, law, material, phase, object, flags, id);
         each_array!(@many $refer, $name, $a, $body; offset, velocity, affine, elastic, total);
     }};
     (@one $name:ident, $a:ident, $body:expr; $($field:ident),*) => { $({ let $name = stringify!($field); let $a = $field; $body; })* };
@@ -168,6 +186,8 @@ impl Particles {
             yield_stress: vec![f32::INFINITY; count],
             viscosity: z(),
             exponent: vec![1.0; count],
+            law_constant: z(),
+            volume_gain: z(),
             plastic_strain: z(),
             liquid: z(),
             enthalpy: vec![0.0; count],
@@ -232,15 +252,22 @@ impl Particles {
     /// Gives point `i` the law and the cold-solid parameters of `material`.
     pub fn set_law(&mut self, i: usize, material: &Material) {
         let (_, eta, h) = material.melt.return_map_constants();
-        self.law[i] = match material.law {
-            Law::Hencky => HENCKY,
-            Law::FixedCorotated => FIXED_COROTATED,
+        let (law, viscosity, exponent, constant) = match material.law {
+            Law::Hencky => (HENCKY, eta, h, 0.0),
+            Law::FixedCorotated => (FIXED_COROTATED, 0.0, 1.0, 0.0),
+            Law::NeoHookean => (NEO_HOOKEAN, 0.0, 1.0, 0.0),
+            Law::NeoHookeanSplit => (NEO_HOOKEAN_SPLIT, 0.0, 1.0, 0.0),
+            Law::VonMises => (VON_MISES, 0.0, 1.0, material.hardening),
+            Law::DruckerPrager => (DRUCKER_PRAGER, 0.0, 1.0, material.friction_slope()),
+            Law::Fluid => (FLUID, material.fluid_viscosity, TAIT_EXPONENT, MAX_FLUID_J),
         };
-        self.shear[i] = material.shear_modulus as f32;
+        self.law[i] = law;
+        self.shear[i] = if law == FLUID { 0.0 } else { material.shear_modulus as f32 };
         self.bulk[i] = material.bulk_modulus as f32;
         self.yield_stress[i] = material.solid_yield_stress as f32;
-        self.viscosity[i] = eta as f32;
-        self.exponent[i] = h as f32;
+        self.viscosity[i] = viscosity as f32;
+        self.exponent[i] = exponent as f32;
+        self.law_constant[i] = constant as f32;
     }
 
     /// Number of points.
@@ -318,13 +345,29 @@ impl Particles {
         write(&mut self.affine, i, c);
     }
 
-    /// Elastic deformation gradient F.
+    /// Elastic deformation gradient F; of a fluid, which has only a volume, `J^{1/3} I`.
     pub fn elastic(&self, i: usize) -> Mat3<f32> {
+        if self.law[i] == FLUID {
+            return mat3::scale(mat3::identity(), (self.elastic[0][i] + 1.0).cbrt());
+        }
         mat3::add(read(&self.elastic, i), mat3::identity())
     }
 
-    /// Sets F.
+    /// Volume over reference volume: det F, and for sand also what it has opened by.
+    pub fn volume_ratio(&self, i: usize) -> f32 {
+        match self.law[i] {
+            FLUID => self.elastic[0][i] + 1.0,
+            DRUCKER_PRAGER => mat3::det(self.elastic(i)) * self.volume_gain[i].exp(),
+            _ => mat3::det(self.elastic(i)),
+        }
+    }
+
+    /// Sets F; of a fluid only its determinant is kept.
     pub fn set_elastic(&mut self, i: usize, f: Mat3<f32>) {
+        if self.law[i] == FLUID {
+            let j = mat3::det(f);
+            return write(&mut self.elastic, i, [[j - 1.0, 0.0, 0.0], [0.0; 3], [0.0; 3]]);
+        }
         write(&mut self.elastic, i, mat3::sub(f, mat3::identity()));
     }
 

@@ -28,7 +28,7 @@ pub struct FrameReport {
     pub repairs: Repairs,
     /// Coupling steps that were repeated with smaller substeps.
     pub rollbacks: u64,
-    /// `Σ V⁰ det F / Σ V⁰ − 1`.
+    /// `Σ V⁰ det F / Σ V⁰ − 1`, with the reference volumes V⁰ that phase and temperature ask for.
     pub volume_change: f64,
     /// Molten share of the mass that can melt.
     pub liquid_fraction: f64,
@@ -60,21 +60,22 @@ impl FrameReport {
         }
     }
 
-    pub(super) fn finish(&mut self, frame: u64, time: f64, p: &Particles, volume0: f64, materials: &[Material]) {
+    pub(super) fn finish(&mut self, frame: u64, time: f64, p: &Particles, materials: &[Material]) {
         self.frame = frame;
         self.time = time;
         if !self.substep_min.is_finite() {
             self.substep_min = 0.0;
         }
-        let (mut volume, mut liquid, mut mass) = (0.0, 0.0, 0.0);
+        let (mut volume, mut reference, mut liquid, mut mass) = (0.0, 0.0, 0.0, 0.0);
         for i in 0..p.len() {
-            volume += f64::from(p.volume[i]) * f64::from(megas_math::mat3::det(p.elastic(i)));
+            reference += f64::from(p.volume[i]);
+            volume += f64::from(p.volume[i]) * f64::from(p.volume_ratio(i));
             if materials[usize::from(p.material[i])].solidus.is_finite() {
                 liquid += f64::from(p.mass[i]) * f64::from(p.liquid[i]);
                 mass += f64::from(p.mass[i]);
             }
         }
-        self.volume_change = volume / volume0 - 1.0;
+        self.volume_change = volume / reference - 1.0;
         self.liquid_fraction = if mass > 0.0 { liquid / mass } else { 0.0 };
     }
 }

@@ -171,6 +171,7 @@ pub(crate) mod tests {
             solidus: 325.0,
             liquidus: 330.0,
             phase_mode: PhaseMode::Mushy,
+            ..Material::default()
         }
     }
 

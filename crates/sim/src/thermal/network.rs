@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::material::Material;
+use crate::material::{Material, Table};
 use crate::thermal::Wall;
 use crate::thermal::enthalpy::{EnthalpyCurve, MixtureCurve};
 use crate::thermal::transfer::Lattice;
@@ -34,17 +34,27 @@ pub(crate) struct Medium {
     pub(crate) density: f64,
     k_s: f64,
     k_l: f64,
+    k_of_t: Table,
 }
 
 impl Medium {
     pub(crate) fn new(m: &Material, t_ref: f64) -> Self {
-        Self { curve: EnthalpyCurve::new(m, t_ref), density: m.density, k_s: m.conductivity_solid, k_l: m.conductivity_liquid }
+        Self {
+            curve: EnthalpyCurve::new(m, t_ref),
+            density: m.density,
+            k_s: m.conductivity_solid,
+            k_l: m.conductivity_liquid,
+            k_of_t: m.tables.conductivity,
+        }
     }
 
-    /// Conductivity \[W/(m·K)\] at liquid fraction `f`.
+    /// Conductivity \[W/(m·K)\] at liquid fraction `f` and temperature `t` \[K\].
     #[inline(always)]
-    pub(crate) fn conductivity(&self, f: f64) -> f64 {
-        self.k_s + f * (self.k_l - self.k_s)
+    pub(crate) fn conductivity(&self, f: f64, t: f64) -> f64 {
+        match self.k_of_t.at(t) {
+            Some(k) => k,
+            None => self.k_s + f * (self.k_l - self.k_s),
+        }
     }
 }
 
@@ -110,7 +120,8 @@ impl Composition {
                 let medium = &media[m as usize];
                 let h = energy / mass;
                 let f = medium.curve.liquid_fraction(h);
-                (medium.curve.temperature(h), mass * medium.curve.heat_capacity(h), medium.conductivity(f))
+                let t = medium.curve.temperature(h);
+                (t, mass * medium.curve.heat_capacity(h), medium.conductivity(f, t))
             }
             Kind::Mixed(i) => {
                 let (t, plateau) = self.mixture.temperature(&self.curves, self.masses(i), energy);
@@ -119,7 +130,7 @@ impl Composition {
                     let f = MixtureCurve::fraction(&medium.curve, t, plateau);
                     let v = m / medium.density;
                     capacity += m * medium.curve.heat_capacity(medium.curve.enthalpy(t));
-                    k += v * medium.conductivity(f);
+                    k += v * medium.conductivity(f, t);
                     volume += v;
                 }
                 (t, capacity, k / volume)

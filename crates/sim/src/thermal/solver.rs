@@ -332,7 +332,7 @@ impl ThermalSolver {
                     let medium = &media[points.material[p] as usize];
                     let h = points.h[p];
                     let capacity = medium.curve.heat_capacity(h);
-                    let k = medium.conductivity(medium.curve.liquid_fraction(h));
+                    let k = medium.conductivity(medium.curve.liquid_fraction(h), medium.curve.temperature(h));
                     let zeta = -(-rate * k / (medium.density * capacity)).exp_m1();
                     let around = lattice.stencil(points.xi[p]).gather(field).value[1];
                     *delta = -zeta * capacity * (medium.curve.temperature(h) - around);

@@ -65,5 +65,6 @@ pub fn simple(density: f64, heat_capacity: f64, conductivity: f64) -> Material {
         solidus: f64::INFINITY,
         liquidus: f64::INFINITY,
         phase_mode: PhaseMode::Mushy,
+        ..Material::default()
     }
 }
