@@ -1,6 +1,8 @@
 //! Ground-truth assets and the paper's claims as numbers
 
 pub mod assets;
+pub mod deform;
 pub mod image;
+pub mod mesh_view;
 pub mod splats;
 pub mod surface;
