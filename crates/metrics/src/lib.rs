@@ -1,6 +1,7 @@
 //! Ground-truth assets and the paper's claims as numbers
 
 pub mod assets;
+pub mod cracks;
 pub mod deform;
 pub mod image;
 pub mod mesh_view;
