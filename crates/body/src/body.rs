@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::background;
 use crate::bake::{BakeReport, SplitReport, bake, split_needles};
-use crate::fill::{FillReport, Filling, Shell, Skin, attach, fill};
+use crate::fill::{FillMethod, FillReport, Filling, Shell, Skin, attach, fill};
 use crate::neighbours::Neighbours;
 use crate::orient::{OrientReport, orient_from, visibility, wall_normals};
 use crate::select::{RobustBox, SelectReport, robust_bounds, select};
@@ -144,7 +144,9 @@ pub fn build_body(splats: &Splats, settings: &BodySettings) -> Result<Body, Body
             Skin { position: centres[i], normal, radius: f64::from(scale[1]) }
         })
         .collect();
-    attach(&mut filling, &skin, DEEPEST_POCKET * frame.bounds.longest());
+    if settings.fill.method == FillMethod::Rays {
+        attach(&mut filling, &skin, DEEPEST_POCKET * frame.bounds.longest());
+    }
     report.fill = filling.report.clone();
     clock.lap("fill", &mut report);
 

@@ -5,7 +5,7 @@ mod common;
 use common::{BLOBS, CUP, DOME, PLATE, SPHERE, Shape, TORUS, orient_truly, shell};
 use megas_body::fill::bvh::{Bvh, trace_all};
 use megas_body::fill::columns::cast_axis;
-use megas_body::fill::{BottomCap, Cap, Directions, FillSettings, Filling, Grid, Shell, TauAlpha, classify};
+use megas_body::fill::{BottomCap, Cap, DensityField, Directions, FillSettings, Filling, Grid, Shell, TauAlpha, classify, density_filling};
 use megas_math::{Mat3, Vec3, mat3, rng::Rng, vec3};
 use megas_model::Splats;
 
@@ -157,6 +157,30 @@ fn full_opacity_collapses_on_translucent_shells() {
     assert!(half > high && high > full && full < 0.1);
     let auto = filled(&SPHERE, &splats, &FillSettings { tau_alpha: TauAlpha::Auto, ..FillSettings::default() });
     assert!(auto.0 > 0.96, "{auto:?}");
+}
+
+#[test]
+fn the_density_field_leaves_shells_hollow() {
+    // The last column of the table: 0 / 0.03 on the sphere at 0.8; the paper's ablation.
+    let splats = prepared(&SPHERE, 0.8);
+    let shell = Shell::<f32>::new(&splats, &normals(&splats), IDENTITY, [0.0; 3]);
+    for field in [DensityField::default(), DensityField { dense: 0.3, wall: 0.15 }] {
+        let (iou, recall) = score(&SPHERE, &density_filling(&shell, grid(&SPHERE, 56), 1.0, &field));
+        println!("density field {field:?}: IoU {iou:.3}, recall {recall:.3}");
+        assert!(recall < 0.5, "{field:?}: {recall}");
+    }
+    // A body that is full of Gaussians is what it was made for.
+    let mut rng = Rng::new(2);
+    let mut full = Shell::<f32>::default();
+    while full.len() < 60_000 {
+        let x: Vec3<f64> = std::array::from_fn(|_| rng.range(-0.5, 0.5));
+        if (SPHERE.distance)(x) < -0.02 {
+            full.push(vec3::cast(x), mat3::diag([0.02f32.powi(2); 3]), [0.0; 3], 0.9);
+        }
+    }
+    let (iou, recall) = score(&SPHERE, &density_filling(&full, grid(&SPHERE, 56), 1.0, &DensityField::default()));
+    println!("full sphere: IoU {iou:.3}, recall {recall:.3}");
+    assert!(iou > 0.9 && recall > 0.99);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use megas_body::fill::{BottomCap, Directions, FillSettings, TauAlpha};
+use megas_body::fill::{BottomCap, DensityField, Directions, FillMethod, FillSettings, TauAlpha};
 use megas_body::orient::OrientSettings;
 use megas_body::select::{Selection, robust_bounds};
 use megas_body::volumes::{SplatMass, VolumeSettings};
@@ -12,7 +12,7 @@ use megas_formats::{WriteOptions, load_splats, save_splats};
 use megas_math::{mat3, vec3};
 use megas_metrics::assets::{METRES_PER_UNIT, Part, Sprinkle, Sundae};
 use megas_model::{Points, Similarity, Splats};
-use megas_scene::{Auto, Object, OpenBottom, Placement, Scene, Select};
+use megas_scene::{Auto, Filling, Object, OpenBottom, Placement, Scene, Select};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -293,6 +293,10 @@ fn one_body(
         split: None,
         orient: OrientSettings { views: f.normal_views.next_multiple_of(2).max(16) as usize, ..OrientSettings::default() },
         fill: FillSettings {
+            method: match object.filling {
+                Filling::Rays => FillMethod::Rays,
+                Filling::DensityField => FillMethod::DensityField(DensityField::default()),
+            },
             tau_alpha: match f.tau_alpha {
                 Auto::Auto => TauAlpha::Auto,
                 Auto::Value(v) => TauAlpha::Fixed(v as f32),

@@ -36,7 +36,7 @@ pub use heat::{Heat, HeatKind, MotionKey, Quantity, Region, Schedule};
 pub use input::{Backdrop, Finetune, FinetuneSettings, Input, Method, Profile, Reconstruct};
 pub use material::{Law, MaterialContext, MaterialError, MaterialSpec, ResolvedMaterial, ResolvedTables};
 pub use material_checks::{MaterialReport, StepLimits};
-pub use object::{Object, Select};
+pub use object::{Filling, Object, Select};
 pub use output::{Film, Output};
 pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
 pub use scene::{Clock, Scene};

@@ -25,6 +25,8 @@ pub struct Object {
     pub size_m: Option<f64>,
     /// A material preset (see `megas materials`) or the name of a [materials.NAME] table.
     pub material: String,
+    /// How the inside is found; `density-field` is for comparison and leaves objects that are only a skin hollow.
+    pub filling: Filling,
     /// Temperature at the start in °C; by default room temperature, or 10 K below the solidus where that is colder.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -273.15, max = 5000.0))]
@@ -42,10 +44,22 @@ impl Default for Object {
             parts: Vec::new(),
             size_m: None,
             material: crate::presets::DEFAULT_MATERIAL.into(),
+            filling: Filling::Rays,
             initial_temperature_c: None,
             initial_velocity_m_s: None,
         }
     }
+}
+
+/// How the inside of an object is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Filling {
+    /// By rays that meet the skin from inside.
+    #[default]
+    Rays,
+    /// By the density of the splats, as PhysGaussian does.
+    DensityField,
 }
 
 /// A choice of splats by their centres, in the input file's own coordinates and units. Keys side by side must all hold; `any`, `all`

@@ -4,6 +4,7 @@ mod attach;
 pub mod bvh;
 pub mod cleanup;
 pub mod columns;
+mod density;
 mod grid;
 mod shell;
 
@@ -12,6 +13,7 @@ use rayon::prelude::*;
 
 pub use attach::{Skin, attach};
 pub use cleanup::CleanupReport;
+pub use density::{DensityField, density, density_filling};
 pub use grid::Grid;
 pub use shell::{ALPHA_MAX, ALPHA_MIN, Blend, Cap, Shell};
 
@@ -49,9 +51,21 @@ pub enum BottomCap {
     At(f64),
 }
 
+/// How the inside is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum FillMethod {
+    /// By rays that stop at walls whose normals point along them (§6.5).
+    #[default]
+    Rays,
+    /// By the density of the Gaussians (§6.7); for comparison. Of the other options only the grid applies.
+    DensityField(DensityField),
+}
+
 /// Options of the interior test.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FillSettings {
+    /// Rays, or the baseline.
+    pub method: FillMethod,
     /// Opacity threshold.
     pub tau_alpha: TauAlpha,
     /// `N·d / A` must exceed this; 0 by default.
@@ -66,7 +80,7 @@ pub struct FillSettings {
 
 impl Default for FillSettings {
     fn default() -> Self {
-        Self { tau_alpha: TauAlpha::Fixed(0.5), tau_n: 0.0, directions: Directions::Axes, cap: BottomCap::Auto, max_refinements: 2 }
+        Self { method: FillMethod::Rays, tau_alpha: TauAlpha::Fixed(0.5), tau_n: 0.0, directions: Directions::Axes, cap: BottomCap::Auto, max_refinements: 2 }
     }
 }
 
@@ -133,6 +147,11 @@ pub fn fill<T: Real>(
     hidden: impl Fn(Vec3<f64>) -> bool + Sync,
 ) -> Filling {
     let spacing = typical_spacing(shell);
+    if let FillMethod::DensityField(field) = &settings.method {
+        let grid = Grid::covering(min, max, dx + 0.5 * spacing, 0.5 * dx, 2);
+        let side = (0..3).map(|k| max[k] - min[k]).fold(0.0, f64::max);
+        return density_filling(shell, grid, side, field);
+    }
     let mut refinements = 0;
     loop {
         let per_particle = 1usize << refinements;
