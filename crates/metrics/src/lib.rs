@@ -3,6 +3,8 @@
 pub mod assets;
 pub mod cracks;
 pub mod deform;
+pub mod fidelity;
+pub mod filling;
 pub mod image;
 pub mod mesh_view;
 pub mod splats;

@@ -80,7 +80,14 @@ pub struct FillSettings {
 
 impl Default for FillSettings {
     fn default() -> Self {
-        Self { method: FillMethod::Rays, tau_alpha: TauAlpha::Fixed(0.5), tau_n: 0.0, directions: Directions::Axes, cap: BottomCap::Auto, max_refinements: 2 }
+        Self {
+            method: FillMethod::Rays,
+            tau_alpha: TauAlpha::Fixed(0.5),
+            tau_n: 0.0,
+            directions: Directions::Axes,
+            cap: BottomCap::Auto,
+            max_refinements: 2,
+        }
     }
 }
 

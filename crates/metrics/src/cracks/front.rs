@@ -43,7 +43,7 @@ pub fn front_layer(g: &Gaussians, camera: &Camera, depth: &[f32], window: f32) -
     let w = mat3::cast::<f32, f64>(camera.rotation);
     let record = |i: usize| -> Option<Record> {
         let opacity = g.opacity[i].min(1.0);
-        if g.visible.get(i) == Some(&false) || !(opacity >= settings.alpha_min) {
+        if g.visible.get(i) == Some(&false) || opacity.is_nan() || opacity < settings.alpha_min {
             return None;
         }
         let p = vec3::add(mat3::mul_vec(w, vec3::cast(g.mean[i])), vec3::cast(camera.translation));
@@ -64,7 +64,8 @@ pub fn front_layer(g: &Gaussians, camera: &Camera, depth: &[f32], window: f32) -
         let reach = (2.0 * f64::from(opacity / settings.alpha_min).ln()).max(0.0).sqrt();
         let mean = [scale * p[0] + f64::from(camera.cx), scale * p[1] + f64::from(camera.cy)];
         let half = [reach * a.sqrt(), reach * d.sqrt()];
-        let seen = mean[0] + half[0] > 0.0 && mean[0] - half[0] < width as f64 && mean[1] + half[1] > 0.0 && mean[1] - half[1] < height as f64;
+        let seen =
+            mean[0] + half[0] > 0.0 && mean[0] - half[0] < width as f64 && mean[1] + half[1] > 0.0 && mean[1] - half[1] < height as f64;
         seen.then(|| Record {
             z: p[2] as f32,
             index: i as u32,

@@ -252,7 +252,11 @@ mod tests {
                     let (a, b) = (s.map(d, up), s.map(d, down));
                     for r in 0..3 {
                         let difference = (a[r] - b[r]) / (2.0 * h);
-                        assert!((difference - f[r][k]).abs() < 1e-8 * (1.0 + f[r][k].abs()) * 10.0, "{d:?} {r} {k}: {difference} {}", f[r][k]);
+                        assert!(
+                            (difference - f[r][k]).abs() < 1e-8 * (1.0 + f[r][k].abs()) * 10.0,
+                            "{d:?} {r} {k}: {difference} {}",
+                            f[r][k]
+                        );
                     }
                 }
             }

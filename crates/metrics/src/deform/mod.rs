@@ -5,6 +5,6 @@ mod carry;
 mod map;
 mod truth;
 
-pub use carry::{Carry, Carried, carry};
+pub use carry::{Carried, Carry, carry};
 pub use map::{Deformation, Stage};
 pub use truth::{deformed, finely_divided};

@@ -147,7 +147,7 @@ fn cap(section: &[[[f64; 2]; 2]], diagonal: f64) -> (Vec<[f64; 2]>, Vec<[u32; 3]
     let strip = CAP_STRIP * diagonal;
     let (low, high) = section.iter().flatten().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p[1]), h.max(p[1])));
     let (mut points, mut triangles) = (Vec::new(), Vec::new());
-    if !(high > low) {
+    if section.is_empty() || high <= low {
         return (points, triangles);
     }
     let count = ((high - low) / strip).ceil() as usize;
