@@ -1,8 +1,9 @@
 //! Deformed points to a renderable surface: covariance push-forward, polar rotation for appearance, rebase, needle clamp
-//! and the implicit surface between oriented samples (splatting.md §7.4, §8).
+//! the implicit surface between oriented samples, and the densification that seals cracks (splatting.md §7, §8).
 
 mod bake;
 mod clamp;
+pub mod densify;
 pub mod imls;
 mod push;
 mod rows;
