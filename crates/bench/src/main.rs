@@ -1,5 +1,6 @@
 //! Benchmark scenes: one JSON line on standard output, nothing else (see `--help`).
 
+mod lattice;
 mod m1;
 mod s1;
 mod t1;
@@ -16,6 +17,10 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Scene {
+    /// Lattice Boltzmann air in a periodic box, flow alone
+    L1(lattice::Args),
+    /// Lattice Boltzmann air in a periodic box, flow and temperature
+    L2(lattice::Args),
     /// MLS-MPM/APIC block in a unit box
     M1(m1::Args),
     /// Rasterization of random Gaussians, forward and backward
@@ -26,6 +31,8 @@ enum Scene {
 
 fn main() {
     let line = match Cli::parse().scene {
+        Scene::L1(args) => lattice::run(&args, false),
+        Scene::L2(args) => lattice::run(&args, true),
         Scene::M1(args) => m1::run(&args),
         Scene::S1(args) => s1::run(&args),
         Scene::T1(args) => t1::run(&args),

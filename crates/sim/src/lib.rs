@@ -2,6 +2,7 @@
 //!
 //! The crate knows no splat, no pixel and no file. SI units throughout, +z is up.
 
+pub mod air;
 pub mod collider;
 pub mod grid;
 pub mod material;

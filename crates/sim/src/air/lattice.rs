@@ -1,0 +1,538 @@
+//! A box of air: flow and temperature populations, advanced in place (simulation.md §4).
+
+use fearless_simd::{Level, dispatch};
+use rayon::prelude::*;
+
+use crate::air::boundaries::{Exchange, Links, exchange};
+use crate::air::d3q7::HeatRates;
+use crate::air::d3q19::FlowRates;
+use crate::air::settings::LatticeSettings;
+use crate::air::storage::{CHUNK, Layout, planes, reach};
+use crate::air::sweep::{Context, HOLES, Plane, SOLID, SPONGE, Seen, WRITE, sweep};
+use crate::air::velocity_sets::{C, Q7, Q19, W7, W19};
+
+/// How heat passes between a node with temperature populations and one without.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum HeatNode {
+    /// The node has populations.
+    #[default]
+    Air,
+    /// None, and no heat passes.
+    Adiabatic,
+    /// None; its face towards the air, half a node away, holds this temperature over the reference \[K\].
+    Fixed(f32),
+    /// None; the caller moves the heat. The number comes back in [`ExchangeLink::other`].
+    Exchange(u32),
+}
+
+/// What fills a node besides air.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NodeState {
+    /// Filled fraction, 0–1.
+    pub solid: f32,
+    /// Velocity of what fills it, lattice units, |v| ≤ 0.1.
+    pub velocity: [f32; 3],
+    /// Its part in the heat.
+    pub heat: HeatNode,
+}
+
+/// One link over which the caller moves heat between an air node and a node without populations.
+#[derive(Clone, Copy, Debug)]
+pub struct ExchangeLink {
+    /// Temperature of the air node over the reference \[K\], at the start of the step.
+    pub air: f32,
+    /// The number of the other node in [`HeatNode::Exchange`].
+    pub other: u32,
+}
+
+/// What the last step did besides moving air. Heats in \[K · nodes\], positive into the air.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepReport {
+    /// Extremes.
+    pub seen: Seen,
+    /// Through walls of fixed temperature or flux.
+    pub wall: f64,
+    /// Through open faces and sponges.
+    pub open: f64,
+    /// Over exchange links.
+    pub exchanged: f64,
+}
+
+/// Node arrays of a lattice, padded like the populations.
+#[derive(Clone, Debug, Default)]
+struct Nodes {
+    t: Vec<f32>,
+    u: [Vec<f32>; 3],
+    solid: Vec<f32>,
+    solid_velocity: [Vec<f32>; 3],
+    sponge: Vec<f32>,
+    memory: Vec<f32>,
+    capacity: Vec<f32>,
+    conductivity: Vec<f32>,
+    class: Vec<u8>,
+    /// Class without what [`Lattice::set_nodes`] brought.
+    base: Vec<u8>,
+}
+
+/// The lattice. Same result for any number of threads.
+#[derive(Clone, Debug)]
+pub struct Lattice {
+    settings: LatticeSettings,
+    layout: Layout,
+    f: Vec<f32>,
+    g: Vec<f32>,
+    nodes: Nodes,
+    flow_links: Links,
+    heat_links: Links,
+    exchange: Vec<Exchange>,
+    fixed: Vec<(Exchange, f32)>,
+    adiabatic: Vec<Exchange>,
+    /// Nodes that [`Lattice::set_nodes`] filled last.
+    filled: Vec<u32>,
+    flux: Vec<f32>,
+    odd: bool,
+    carried: bool,
+    write_all: bool,
+    level: Level,
+}
+
+impl Lattice {
+    /// Air at rest at the reference temperature.
+    pub fn new(settings: LatticeSettings) -> Self {
+        let layout = Layout::new(settings.nodes);
+        let n = layout.scalars();
+        let zeros = || vec![0.0f32; n];
+        let mut nodes = Nodes { memory: vec![1.0; n], t: zeros(), u: [zeros(), zeros(), zeros()], ..Nodes::default() };
+        nodes.solid = zeros();
+        nodes.solid_velocity = [zeros(), zeros(), zeros()];
+        nodes.sponge = zeros();
+        nodes.class = vec![0; settings.nodes[0] * settings.nodes[1] * layout.chunks()];
+        let flow_links = if settings.flow { Links::new(&layout, Q19, &settings.faces) } else { Links::default() };
+        let heat_links = if settings.heat { Links::new(&layout, Q7, &settings.faces) } else { Links::default() };
+        let mut lattice = Self {
+            f: vec![0.0; if settings.flow { layout.populations(Q19) } else { 0 }],
+            g: vec![0.0; if settings.heat { layout.populations(Q7) } else { 0 }],
+            layout,
+            nodes,
+            flow_links,
+            heat_links,
+            exchange: Vec::new(),
+            fixed: Vec::new(),
+            adiabatic: Vec::new(),
+            filled: Vec::new(),
+            flux: Vec::new(),
+            odd: false,
+            carried: false,
+            write_all: false,
+            level: Level::new(),
+            settings,
+        };
+        lattice.classify();
+        lattice
+    }
+
+    /// Marks sponges and open faces.
+    fn classify(&mut self) {
+        let [nx, ny, nz] = self.settings.nodes;
+        for i in 0..nx {
+            for j in 0..ny {
+                for k in 0..nz {
+                    let s = self.settings.sponge([i, j, k]);
+                    if s > 0.0 {
+                        self.nodes.sponge[self.layout.node([i, j, k])] = s as f32;
+                        self.mark([i, j, k], SPONGE);
+                    }
+                }
+            }
+        }
+        let open: Vec<u32> = self.flow_links.open.iter().chain(&self.heat_links.open).map(|l| l.node).collect();
+        for n in open {
+            let c = self.chunk_of(n as usize);
+            self.nodes.class[c] |= WRITE;
+        }
+        self.nodes.base = self.nodes.class.clone();
+    }
+
+    /// Chunk of an index into the node arrays.
+    fn chunk_of(&self, n: usize) -> usize {
+        let (i, o) = (n / self.layout.plane, n % self.layout.plane);
+        let first = self.layout.row(0);
+        let (j, k) = ((o - first) / self.layout.stride, (o - first) % self.layout.stride);
+        (i * self.settings.nodes[1] + j) * self.layout.chunks() + k / CHUNK
+    }
+
+    fn mark(&mut self, n: [usize; 3], class: u8) {
+        let c = (n[0] * self.settings.nodes[1] + n[1]) * self.layout.chunks() + n[2] / CHUNK;
+        self.nodes.class[c] |= class;
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &LatticeSettings {
+        &self.settings
+    }
+
+    /// The instruction set in use.
+    pub fn simd(&self) -> String {
+        format!("{:?}", self.level).split('(').next().unwrap_or_default().to_lowercase()
+    }
+
+    /// Keep temperature and velocity of every node up to date in every step, not only where they are needed.
+    pub fn keep_fields(&mut self, keep: bool) {
+        self.write_all = keep;
+    }
+
+    /// Sets every node to the equilibrium of `state(node)` = (density, velocity, temperature over the reference).
+    pub fn fill(&mut self, state: impl Fn([usize; 3]) -> (f64, [f64; 3], f64)) {
+        self.odd = false;
+        let [nx, ny, nz] = self.settings.nodes;
+        for i in 0..nx {
+            for j in 0..ny {
+                for k in 0..nz {
+                    let n = [i, j, k];
+                    let (rho, u, t) = state(n);
+                    self.set_equilibrium(n, rho, u, t);
+                }
+            }
+        }
+    }
+
+    /// Equilibrium of one node. Only valid where the neighbours' departing populations do not matter: everywhere.
+    fn set_equilibrium(&mut self, n: [usize; 3], rho: f64, u: [f64; 3], t: f64) {
+        let here = n.map(|v| v as isize);
+        if self.settings.flow {
+            let u2: f64 = u.iter().map(|v| v * v).sum();
+            for k in 0..Q19 {
+                let cu: f64 = (0..3).map(|a| f64::from(C[k][a]) * u[a]).sum();
+                let f = W19[k] * (rho - 1.0 + rho * (3.0 * cu + 4.5 * cu * cu - 1.5 * u2));
+                let slot = self.layout.arriving(Q19, self.odd, k, here);
+                self.f[slot] = f as f32;
+            }
+        }
+        let i = self.layout.node(n);
+        if self.settings.heat && self.nodes.memory[i] > 0.0 {
+            self.set_heat(n, t, u);
+        }
+        self.nodes.t[i] = t as f32;
+        for a in 0..3 {
+            self.nodes.u[a][i] = u[a] as f32;
+        }
+    }
+
+    fn set_heat(&mut self, n: [usize; 3], t: f64, u: [f64; 3]) {
+        let here = n.map(|v| v as isize);
+        let c = self.nodes.capacity.get(self.layout.node(n)).map_or(1.0, |c| f64::from(*c));
+        for k in 0..Q7 {
+            let cu: f64 = (0..3).map(|a| f64::from(C[k][a]) * u[a]).sum();
+            let g = if k == 0 { c * t - (1.0 - W7[0]) * t } else { W7[k] * t * (1.0 + 4.0 * c * cu) };
+            let slot = self.layout.arriving(Q7, self.odd, k, here);
+            self.g[slot] = g as f32;
+        }
+    }
+
+    /// Capacity C̃ and conductivity K̃ per node, for lattices on which material is at rest.
+    pub fn set_media(&mut self, media: impl Fn([usize; 3]) -> (f32, f32)) {
+        let n = self.layout.scalars();
+        self.nodes.capacity = vec![1.0; n];
+        self.nodes.conductivity = vec![self.settings.diffusivity as f32; n];
+        let [nx, ny, nz] = self.settings.nodes;
+        for i in 0..nx {
+            for j in 0..ny {
+                for k in 0..nz {
+                    let o = self.layout.node([i, j, k]);
+                    (self.nodes.capacity[o], self.nodes.conductivity[o]) = media([i, j, k]);
+                }
+            }
+        }
+    }
+
+    /// Replaces everything that is not plain air. `states` lists nodes in ascending order of (x, y, z). Returns the heat that
+    /// the air lost to nodes that were filled, and the heat of nodes that were set free at temperature
+    /// [`Lattice::temperature`] \[K · nodes\], both positive.
+    pub fn set_nodes(&mut self, states: &[([usize; 3], NodeState)]) -> (f64, f64) {
+        let (mut displaced, mut released) = (0.0, 0.0);
+        self.nodes.class.copy_from_slice(&self.nodes.base);
+        let old = std::mem::take(&mut self.filled);
+        let mut was_hole = Vec::new();
+        for &o in &old {
+            let o = o as usize;
+            self.nodes.solid[o] = 0.0;
+            if self.nodes.memory[o] == 0.0 {
+                self.nodes.memory[o] = 1.0;
+                was_hole.push(o as u32);
+            }
+        }
+        let lost = |o: usize| was_hole.binary_search(&(o as u32)).is_err();
+        let mut filled = Vec::with_capacity(states.len());
+        let mut fresh = Vec::new();
+        for (n, state) in states {
+            let o = self.layout.node(*n);
+            filled.push(o as u32);
+            self.nodes.solid[o] = state.solid.clamp(0.0, 1.0);
+            for a in 0..3 {
+                self.nodes.solid_velocity[a][o] = state.velocity[a];
+            }
+            if state.heat != HeatNode::Air {
+                self.nodes.memory[o] = 0.0;
+                if self.settings.heat && lost(o) {
+                    fresh.push(*n);
+                }
+            }
+            if let HeatNode::Fixed(t) = state.heat {
+                self.nodes.t[o] = t;
+            }
+        }
+        for n in fresh {
+            displaced += self.enthalpy(n);
+        }
+        self.filled = filled;
+        for (n, state) in states {
+            let class = if state.solid > 0.0 { SOLID } else { 0 } | if state.heat != HeatNode::Air { HOLES } else { 0 };
+            self.mark(*n, class);
+        }
+        // Nodes that became air start at the last temperature and velocity of what was there.
+        for o in was_hole {
+            let o = o as usize;
+            if self.nodes.memory[o] > 0.0 {
+                let n = self.coordinates(o);
+                let u = std::array::from_fn(|a| f64::from(self.nodes.solid_velocity[a][o]));
+                self.set_heat(n, f64::from(self.nodes.t[o]), u);
+                released += f64::from(self.nodes.t[o]);
+            }
+        }
+        self.mark_deep();
+        if self.settings.heat {
+            self.connect(states);
+        }
+        (displaced, released)
+    }
+
+    fn coordinates(&self, o: usize) -> [usize; 3] {
+        let (i, r) = (o / self.layout.plane, o % self.layout.plane - self.layout.row(0));
+        [i, r / self.layout.stride, r % self.layout.stride]
+    }
+
+    /// Marks nodes that are solid together with their 18 neighbours; the box walls count as solid.
+    fn mark_deep(&mut self) {
+        let [nx, ny, nz] = self.settings.nodes.map(|n| n as isize);
+        let solid = &self.nodes.solid;
+        let layout = &self.layout;
+        let full = |n: [isize; 3]| {
+            if n[0] < 0 || n[1] < 0 || n[2] < 0 || n[0] >= nx || n[1] >= ny || n[2] >= nz {
+                return true;
+            }
+            solid[layout.node(n.map(|v| v as usize))] > 0.999
+        };
+        let deep: Vec<u32> = self
+            .filled
+            .par_iter()
+            .copied()
+            .with_min_len(1024)
+            .filter(|&o| {
+                solid[o as usize] > 0.999 && {
+                    let n = self.coordinates(o as usize).map(|v| v as isize);
+                    (1..Q19).all(|k| full(std::array::from_fn(|a| n[a] + C[k][a] as isize)))
+                }
+            })
+            .collect();
+        for o in deep {
+            self.nodes.solid[o as usize] = 2.0;
+        }
+    }
+
+    /// Rebuilds the links between nodes with and without temperature populations.
+    fn connect(&mut self, states: &[([usize; 3], NodeState)]) {
+        self.exchange.clear();
+        self.fixed.clear();
+        self.adiabatic.clear();
+        let size = self.settings.nodes;
+        for (n, state) in states {
+            if state.heat == HeatNode::Air {
+                continue;
+            }
+            for k in 1..Q7 {
+                // The neighbour into which populations along k would come from here.
+                let x: [isize; 3] = std::array::from_fn(|a| n[a] as isize + C[k][a] as isize);
+                if (0..3).any(|a| x[a] < 0 || x[a] >= size[a] as isize) {
+                    continue;
+                }
+                let x = x.map(|v| v as usize);
+                if self.nodes.memory[self.layout.node(x)] == 0.0 {
+                    continue;
+                }
+                match state.heat {
+                    HeatNode::Exchange(id) => {
+                        self.exchange.push(exchange(&self.layout, x, k, id));
+                        self.mark(x, WRITE);
+                    }
+                    HeatNode::Fixed(t) => self.fixed.push((exchange(&self.layout, x, k, 0), t)),
+                    _ => self.adiabatic.push(exchange(&self.layout, x, k, 0)),
+                }
+            }
+        }
+    }
+
+    /// One step without exchange links.
+    pub fn step(&mut self) -> StepReport {
+        self.step_with(|_, flux| flux.fill(0.0))
+    }
+
+    /// One step. `exchange` receives all exchange links, in a fixed order, and returns the heat that each brings into the
+    /// air \[K\].
+    pub fn step_with(&mut self, exchange: impl FnOnce(&mut dyn Iterator<Item = ExchangeLink>, &mut [f32])) -> StepReport {
+        let seen = self.collide_and_stream();
+        let odd = !self.odd;
+        let mut report = StepReport { seen, wall: 0.0, open: seen.sponge, exchanged: 0.0 };
+        let Self { f, g, flow_links, heat_links, nodes, .. } = self;
+        let ((), (wall, open)) = rayon::join(
+            || {
+                flow_links.close(odd, f);
+                flow_links.open_flow(odd, f, &nodes.u);
+            },
+            || (heat_links.close(odd, g), heat_links.open_heat(odd, g, &nodes.u)),
+        );
+        report.wall = wall;
+        report.open += open;
+        let p = usize::from(odd);
+        for l in &self.adiabatic {
+            self.g[l.to[p] as usize] = self.g[l.from[p] as usize];
+        }
+        for (l, t) in &self.fixed {
+            let old = self.g[l.from[p] as usize];
+            let new = -old + 2.0 * W7[1] as f32 * t;
+            self.g[l.to[p] as usize] = new;
+            report.wall += f64::from(new - old);
+        }
+        if !self.exchange.is_empty() {
+            self.flux.resize(self.exchange.len(), 0.0);
+            let mut links = self.exchange.iter().map(|l| ExchangeLink { air: self.nodes.t[l.air as usize], other: l.other });
+            exchange(&mut links, &mut self.flux);
+            for (l, q) in self.exchange.iter().zip(&self.flux) {
+                self.g[l.to[p] as usize] = self.g[l.from[p] as usize] + q;
+                report.exchanged += f64::from(*q);
+            }
+        }
+        self.odd = odd;
+        report
+    }
+
+    fn collide_and_stream(&mut self) -> Seen {
+        let s = &self.settings;
+        let lattice = |v: [f64; 3]| v.map(|x| x as f32);
+        let cx = Context {
+            layout: &self.layout,
+            flow: FlowRates::new(s),
+            heat: HeatRates::new(s),
+            force: lattice(s.force),
+            buoyancy: lattice(s.buoyancy),
+            limit: s.buoyancy_limit as f32,
+            wind: lattice(s.wind),
+            carried: self.carried,
+            sign: if self.odd { -1.0 } else { 1.0 },
+            reach: std::array::from_fn(|q| reach(&self.layout, self.odd, q)),
+            write_all: self.write_all,
+        };
+        let nx = s.nodes[0];
+        let plane = self.layout.plane;
+        let class = s.nodes[1] * self.layout.chunks();
+        let none = |n: usize| -> Vec<[&mut [f32]; 19]> { (0..n).map(|_| std::array::from_fn(|_| Default::default())).collect() };
+        let none7 = |n: usize| -> Vec<[&mut [f32]; 7]> { (0..n).map(|_| std::array::from_fn(|_| Default::default())).collect() };
+        let f = if s.flow { planes::<f32, 19>(&self.layout, self.odd, &mut self.f) } else { none(nx) };
+        let g = if s.heat { planes::<f32, 7>(&self.layout, self.odd, &mut self.g) } else { none7(nx) };
+        let nodes = &mut self.nodes;
+        let [ux, uy, uz] = &mut nodes.u;
+        let velocity = ux.chunks_exact_mut(plane).zip(uy.chunks_exact_mut(plane)).zip(uz.chunks_exact_mut(plane));
+        let part = |v: &[f32], i: usize| -> std::ops::Range<usize> { if v.is_empty() { 0..0 } else { i * plane..(i + 1) * plane } };
+        let mut tasks: Vec<Plane> = Vec::with_capacity(nx);
+        for (i, (((f, g), t), ((ux, uy), uz))) in f.into_iter().zip(g).zip(nodes.t.chunks_exact_mut(plane)).zip(velocity).enumerate() {
+            tasks.push(Plane {
+                f,
+                g,
+                t,
+                u: [ux, uy, uz],
+                solid: &nodes.solid[part(&nodes.solid, i)],
+                solid_velocity: nodes.solid_velocity.each_ref().map(|v| &v[part(v, i)]),
+                sponge: &nodes.sponge[part(&nodes.sponge, i)],
+                memory: &nodes.memory[part(&nodes.memory, i)],
+                capacity: &nodes.capacity[part(&nodes.capacity, i)],
+                conductivity: &nodes.conductivity[part(&nodes.conductivity, i)],
+                class: &nodes.class[i * class..(i + 1) * class],
+            });
+        }
+        let les = s.smagorinsky > 0.0;
+        let level = self.level;
+        let seen: Vec<Seen> = tasks
+            .par_iter_mut()
+            .map(|p| match (s.flow, s.heat, les) {
+                (true, true, false) => dispatch!(level, v => sweep::<_, true, true, false>(v, &cx, p)),
+                (true, true, true) => dispatch!(level, v => sweep::<_, true, true, true>(v, &cx, p)),
+                (true, false, false) => dispatch!(level, v => sweep::<_, true, false, false>(v, &cx, p)),
+                (true, false, true) => dispatch!(level, v => sweep::<_, true, false, true>(v, &cx, p)),
+                (false, ..) => dispatch!(level, v => sweep::<_, false, true, false>(v, &cx, p)),
+            })
+            .collect();
+        seen.into_iter().fold(Seen::NOTHING, Seen::merge)
+    }
+
+    /// The population that arrives at a node along `k` in the next step, flow.
+    fn flow_population(&self, n: [usize; 3], k: usize) -> f64 {
+        f64::from(self.f[self.layout.arriving(Q19, self.odd, k, n.map(|v| v as isize))])
+    }
+
+    /// The population that arrives at a node along `k` in the next step, temperature.
+    fn heat_population(&self, n: [usize; 3], k: usize) -> f64 {
+        f64::from(self.g[self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize))])
+    }
+
+    /// Density and velocity of a node, without the correction for half of the next force.
+    pub fn flow(&self, n: [usize; 3]) -> (f64, [f64; 3]) {
+        if !self.settings.flow {
+            return (1.0, self.settings.wind);
+        }
+        let (mut rho, mut m) = (1.0, [0.0; 3]);
+        for k in 0..Q19 {
+            let f = self.flow_population(n, k);
+            rho += f;
+            for a in 0..3 {
+                m[a] += f64::from(C[k][a]) * f;
+            }
+        }
+        (rho, m.map(|v| v / rho))
+    }
+
+    /// Density and force-corrected velocity of a node of plain air (simulation.md §4.2).
+    pub fn macroscopic(&self, n: [usize; 3]) -> (f64, [f64; 3]) {
+        let (rho, u) = self.flow(n);
+        let t = if self.settings.heat { self.temperature(n) } else { 0.0 };
+        let t = t.clamp(-self.settings.buoyancy_limit, self.settings.buoyancy_limit);
+        (rho, std::array::from_fn(|a| u[a] + 0.5 * (self.settings.force[a] + self.settings.buoyancy[a] * t) / rho))
+    }
+
+    /// Σ g of a node \[K\]: its heat.
+    pub fn enthalpy(&self, n: [usize; 3]) -> f64 {
+        (0..Q7).map(|k| self.heat_population(n, k)).sum()
+    }
+
+    /// Temperature of a node over the reference \[K\]; of nodes without populations what they were given last.
+    pub fn temperature(&self, n: [usize; 3]) -> f64 {
+        let o = self.layout.node(n);
+        if !self.settings.heat || self.nodes.memory[o] == 0.0 {
+            return f64::from(self.nodes.t[o]);
+        }
+        let c = self.nodes.capacity.get(o).map_or(1.0, |c| f64::from(*c));
+        (self.enthalpy(n) + 0.5 * self.settings.source) / c
+    }
+
+    /// Tells the temperature over the reference \[K\] of a node without populations; it becomes that of the air left behind.
+    pub fn set_temperature(&mut self, n: [usize; 3], t: f32) {
+        let o = self.layout.node(n);
+        self.nodes.t[o] = t;
+    }
+
+    /// Adds `change` \[K\] to the temperature of an air node (simulation.md §3.5), keeping its flux.
+    pub fn warm(&mut self, n: [usize; 3], change: f32) {
+        for k in 0..Q7 {
+            let slot = self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize));
+            self.g[slot] += W7[k] as f32 * change;
+        }
+    }
+}
