@@ -150,7 +150,9 @@ impl Links {
             Some(Arrival::From(y, d, factor, add)) => {
                 let from = slots(|odd| layout.departed(q, odd, d, y));
                 if factor == 1.0 && add == 0.0 {
-                    self.copies.push((to, from));
+                    if to != from {
+                        self.copies.push((to, from));
+                    }
                 } else {
                     self.affine.push(Link { to, from, factor: factor as f32, add: add as f32 });
                 }

@@ -67,6 +67,14 @@ impl FlowRates {
     }
 }
 
+impl FlowRates {
+    /// True with the Smagorinsky model.
+    #[inline(always)]
+    pub(crate) fn has_eddies(&self) -> bool {
+        self.smagorinsky > 0.0
+    }
+}
+
 /// Velocity from momentum: divided by the density, capped for the equilibria. Returns u, ρ and |u|² before the cap.
 #[inline(always)]
 pub(crate) fn velocity<S: Simd>(s: S, rho: Lanes<S>, m: [Lanes<S>; 3]) -> ([Lanes<S>; 3], Lanes<S>, Lanes<S>) {
@@ -86,7 +94,7 @@ pub(crate) fn velocity<S: Simd>(s: S, rho: Lanes<S>, m: [Lanes<S>; 3]) -> ([Lane
 
 /// Collides with force density `force`; `u` is the force-corrected velocity. Returns the eddy viscosity, zero without model.
 #[inline(always)]
-pub(crate) fn collide<S: Simd, const LES: bool>(
+pub(crate) fn collide<S: Simd>(
     s: S,
     f: &mut Pairs<S>,
     rates: &FlowRates,
@@ -100,7 +108,7 @@ pub(crate) fn collide<S: Simd, const LES: bool>(
     let dot = |a: &[Lanes<S>; 3], b: &[Lanes<S>; 3]| a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]));
     let base = rho - dot(&m, &u) * 1.5;
     let cu = along::<S>(u);
-    let (plus, minus, eddy) = if LES { strained(s, f, rates, base, &cu, along::<S>(m)) } else { (c(rates.plus), c(rates.minus), c(0.0)) };
+    let (plus, minus, eddy) = if rates.has_eddies() { strained(s, f, rates, base, &cu, along::<S>(m)) } else { (c(rates.plus), c(rates.minus), c(0.0)) };
     let half_plus = plus * -0.5 + 1.0;
     let half_minus = minus * -0.5 + 1.0;
     // Even: w [A + (c·u)(c·G)]; odd: w c·H.

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::air::boundaries::{Exchange, Links, exchange};
 use crate::air::d3q7::HeatRates;
 use crate::air::d3q19::FlowRates;
-use crate::air::settings::LatticeSettings;
+use crate::air::settings::{Face, FlowFace, HeatFace, LatticeSettings};
 use crate::air::storage::{CHUNK, Layout, planes, reach};
 use crate::air::sweep::{Context, HOLES, Plane, SOLID, SPONGE, Seen, WRITE, sweep};
 use crate::air::velocity_sets::{C, Q7, Q19, W7, W19};
@@ -99,7 +99,8 @@ pub struct Lattice {
 impl Lattice {
     /// Air at rest at the reference temperature.
     pub fn new(settings: LatticeSettings) -> Self {
-        let layout = Layout::new(settings.nodes);
+        let wraps = |f: &[Face; 2]| f.iter().all(|f| f.flow == FlowFace::Periodic && f.heat == HeatFace::Periodic);
+        let layout = Layout::new(settings.nodes, settings.faces.each_ref().map(wraps));
         let n = layout.scalars();
         let zeros = || vec![0.0f32; n];
         let mut nodes = Nodes { memory: vec![1.0; n], t: zeros(), u: [zeros(), zeros(), zeros()], ..Nodes::default() };
@@ -458,16 +459,13 @@ impl Lattice {
                 class: &nodes.class[i * class..(i + 1) * class],
             });
         }
-        let les = s.smagorinsky > 0.0;
         let level = self.level;
         let seen: Vec<Seen> = tasks
             .par_iter_mut()
-            .map(|p| match (s.flow, s.heat, les) {
-                (true, true, false) => dispatch!(level, v => sweep::<_, true, true, false>(v, &cx, p)),
-                (true, true, true) => dispatch!(level, v => sweep::<_, true, true, true>(v, &cx, p)),
-                (true, false, false) => dispatch!(level, v => sweep::<_, true, false, false>(v, &cx, p)),
-                (true, false, true) => dispatch!(level, v => sweep::<_, true, false, true>(v, &cx, p)),
-                (false, ..) => dispatch!(level, v => sweep::<_, false, true, false>(v, &cx, p)),
+            .map(|p| match (s.flow, s.heat) {
+                (true, true) => dispatch!(level, v => sweep::<_, true, true>(v, &cx, p)),
+                (true, false) => dispatch!(level, v => sweep::<_, true, false>(v, &cx, p)),
+                (false, _) => dispatch!(level, v => sweep::<_, false, true>(v, &cx, p)),
             })
             .collect();
         seen.into_iter().fold(Seen::NOTHING, Seen::merge)

@@ -8,7 +8,7 @@
 //! The box has a rim of ghost nodes. After each step the boundary conditions write what should arrive from the ghosts into
 //! the slots from which the next step reads; what the kernel computes in the rim or in the padding of a row is overwritten.
 
-use crate::air::velocity_sets::{C, opposite};
+use crate::air::velocity_sets::{C, Q19, opposite};
 
 /// Rows are padded to whole vectors of this many nodes, on every instruction set.
 pub(crate) const CHUNK: usize = 16;
@@ -23,12 +23,17 @@ pub(crate) struct Layout {
     pub(crate) stride: usize,
     /// Length of a plane.
     pub(crate) plane: usize,
+    /// Where populations go: the velocities, less their part along periodic axes of one node, on which every node is its
+    /// own neighbour.
+    pub(crate) moves: [[isize; 3]; Q19],
 }
 
 impl Layout {
-    pub(crate) fn new(nodes: [usize; 3]) -> Self {
+    /// `wraps` tells which axes are periodic.
+    pub(crate) fn new(nodes: [usize; 3], wraps: [bool; 3]) -> Self {
         let stride = (nodes[2] + 2).next_multiple_of(CHUNK);
-        Self { nodes, stride, plane: 2 * APRON + (nodes[1] + 2) * stride }
+        let moves = C.map(|c| std::array::from_fn(|a| if wraps[a] && nodes[a] == 1 { 0 } else { c[a] as isize }));
+        Self { nodes, stride, plane: 2 * APRON + (nodes[1] + 2) * stride, moves }
     }
 
     /// Offset in its plane of the first node of row `j`, −1 ≤ j ≤ ny.
@@ -69,7 +74,7 @@ impl Layout {
     #[inline(always)]
     pub(crate) fn arriving(&self, q: usize, odd: bool, k: usize, n: [isize; 3]) -> usize {
         if odd {
-            self.slot(q, opposite(k), std::array::from_fn(|a| n[a] - C[k][a] as isize))
+            self.slot(q, opposite(k), std::array::from_fn(|a| n[a] - self.moves[k][a]))
         } else {
             self.slot(q, k, n)
         }
@@ -81,7 +86,7 @@ impl Layout {
         if odd {
             self.slot(q, opposite(k), n)
         } else {
-            self.slot(q, k, std::array::from_fn(|a| n[a] + C[k][a] as isize))
+            self.slot(q, k, std::array::from_fn(|a| n[a] + self.moves[k][a]))
         }
     }
 
@@ -97,8 +102,8 @@ pub(crate) fn planes<'a, T, const Q: usize>(layout: &Layout, odd: bool, storage:
     let mut out = Vec::with_capacity(layout.nodes[0]);
     for i in 0..layout.nodes[0] {
         out.push(std::array::from_fn(|q| {
-            let shift = if odd { C[q][0] } else { 0 };
-            let plane = (i as i32 + 1 + shift) as usize;
+            let shift = if odd { layout.moves[q][0] } else { 0 };
+            let plane = (i as isize + 1 + shift) as usize;
             std::mem::take(&mut parts[plane * Q + q])
         }));
     }
@@ -108,5 +113,5 @@ pub(crate) fn planes<'a, T, const Q: usize>(layout: &Layout, odd: bool, storage:
 /// Offset, relative to the node, of the slots `q` that it touches inside their plane.
 #[inline(always)]
 pub(crate) fn reach(layout: &Layout, odd: bool, q: usize) -> isize {
-    if odd { C[q][1] as isize * layout.stride as isize + C[q][2] as isize } else { 0 }
+    if odd { layout.moves[q][1] * layout.stride as isize + layout.moves[q][2] } else { 0 }
 }

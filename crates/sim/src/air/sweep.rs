@@ -135,7 +135,7 @@ impl<S: Simd> Watch<S> {
 
 /// Advances every node of a plane.
 #[inline(always)]
-pub(crate) fn sweep<S: Simd, const FLOW: bool, const HEAT: bool, const LES: bool>(s: S, cx: &Context, p: &mut Plane) -> Seen {
+pub(crate) fn sweep<S: Simd, const FLOW: bool, const HEAT: bool>(s: S, cx: &Context, p: &mut Plane) -> Seen {
     let lanes = Lanes::<S>::LEN;
     let [_, ny, nz] = cx.layout.nodes;
     let chunks = cx.layout.chunks();
@@ -149,9 +149,9 @@ pub(crate) fn sweep<S: Simd, const FLOW: bool, const HEAT: bool, const LES: bool
             while k < end {
                 let valid = (nz - k).min(lanes);
                 if plain && valid == lanes {
-                    vector::<S, FLOW, HEAT, LES, false>(s, cx, p, row + k, valid, class, &mut watch);
+                    vector::<S, FLOW, HEAT, false>(s, cx, p, row + k, valid, class, &mut watch);
                 } else {
-                    vector::<S, FLOW, HEAT, LES, true>(s, cx, p, row + k, valid, class, &mut watch);
+                    vector::<S, FLOW, HEAT, true>(s, cx, p, row + k, valid, class, &mut watch);
                 }
                 k += lanes;
             }
@@ -172,7 +172,7 @@ fn store<S: Simd>(v: Lanes<S>, a: &mut [f32], n: usize) {
 
 /// Advances one vector of nodes. Without `GENERAL` it is pure air away from everything.
 #[inline(always)]
-fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const LES: bool, const GENERAL: bool>(
+fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
     s: S,
     cx: &Context,
     p: &mut Plane,
@@ -254,7 +254,7 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const LES: bool, const GE
             u = each3(|a| u[a] + change[a]);
         }
         let before = f;
-        eddy = d3q19::collide::<S, LES>(s, &mut f, &cx.flow, rho, density, u, force);
+        eddy = d3q19::collide(s, &mut f, &cx.flow, rho, density, u, force);
         if GENERAL && class & SOLID != 0 {
             let v = each3(|a| load(s, p.solid_velocity[a], n));
             d3q19::saturate(s, &before, &mut f, solid, share, density, u, v);
@@ -285,7 +285,7 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const LES: bool, const GE
         let carried = each3(|a| u[a] * capacity * memory);
         let rates = if GENERAL && !p.conductivity.is_empty() {
             cx.heat.of(s, load(s, p.conductivity, n))
-        } else if LES {
+        } else if cx.flow.has_eddies() {
             cx.heat.of(s, cx.heat.turbulent::<S>(eddy))
         } else {
             cx.heat.plain(s)
