@@ -12,7 +12,8 @@ use megas_sim::source::{HeatSource, Motion, Schedule, Shape, SourceKind};
 use megas_sim::thermal::{AirModel, Audit, ThermalOptions, ThermalSolver, Transfer};
 
 use crate::{Case, Outcome, Plot, Row, Tier};
-use cloud::{Cloud, simple};
+use cloud::Cloud;
+pub(crate) use cloud::simple;
 
 /// The cases of this file.
 pub const CASES: &[Case] = &[

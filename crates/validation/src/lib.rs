@@ -2,6 +2,7 @@
 //!
 //! `megas validate` runs it and writes a page of it; `cargo test -p megas-validation` asserts it.
 
+pub mod air;
 pub mod coupled;
 mod figure;
 pub mod heat;
@@ -82,7 +83,7 @@ impl Case {
 
 /// Every case, by id.
 pub fn cases() -> Vec<Case> {
-    let mut all: Vec<Case> = [transfers::CASES, heat::CASES, mechanics::CASES, coupled::CASES].concat();
+    let mut all: Vec<Case> = [transfers::CASES, air::CASES, heat::CASES, mechanics::CASES, coupled::CASES].concat();
     all.sort_by_key(|c| c.id);
     all
 }

@@ -167,7 +167,7 @@ impl Reference {
             let trt = -plus * even - minus * odd + pushed;
             let kk = opposite(k);
             let reflected = old[kk] - old[k] + equilibrium(k, rho, v) - eq[kk];
-            f[k] = if deep { equilibrium(k, 1.0, v) } else { old[k] + (1.0 - share) * trt + share * reflected };
+            f[k] = if deep { equilibrium(k, rho.clamp(0.99, 1.01), v) } else { old[k] + (1.0 - share) * trt + share * reflected };
         }
         (tau_now - tau) / 3.0
     }

@@ -257,7 +257,7 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
         eddy = d3q19::collide(s, &mut f, &cx.flow, rho, density, u, force);
         if GENERAL && class & SOLID != 0 {
             let v = each3(|a| load(s, p.solid_velocity[a], n));
-            d3q19::saturate(s, &before, &mut f, solid, share, density, u, v);
+            d3q19::saturate(s, &before, &mut f, solid, share, rho, density, u, v);
             counts = solid.simd_gt(c(0.5)).select(zero, counts);
         }
         store::<S>(f.rest, p.f[0], n);
