@@ -50,6 +50,12 @@ impl Field {
         (self.origin, std::array::from_fn(|a| self.origin[a] + self.spacing * (self.nodes[a] - 1) as f64))
     }
 
+    /// Volume of the inside; nodes near the surface count in part.
+    pub(crate) fn volume(&self) -> f64 {
+        let share = |d: &f32| (0.5 - f64::from(*d) / self.spacing).clamp(0.0, 1.0);
+        self.values.iter().map(share).sum::<f64>() * self.spacing.powi(3)
+    }
+
     pub(crate) fn center(&self) -> Vec3<f64> {
         let (lo, hi) = self.bounds();
         vec3::lerp(lo, hi, 0.5)
@@ -108,6 +114,7 @@ mod tests {
         let position = |i: usize| [i / (n * n), i / n % n, i % n].map(|c| 0.1 * c as f64 - 1.0);
         let values = (0..n * n * n).map(|i| (vec3::norm(position(i)) - 0.7) as f32).collect();
         let field = Field::new([-1.0; 3], 0.1, [n; 3], values).unwrap();
+        assert!((field.volume() / (4.0 / 3.0 * std::f64::consts::PI * 0.343) - 1.0).abs() < 0.01);
         for x in [[0.55, 0.33, 0.2], [0.9, -0.3, 0.13], [2.0, 0.4, -0.3], [-1.0, 3.0, 5.0]] {
             let (d, normal) = field.distance(x);
             let r = vec3::norm(x);

@@ -118,6 +118,19 @@ impl Shape {
         }
     }
 
+    /// Volume; `None` for solids without end.
+    pub fn volume(&self) -> Option<f64> {
+        use std::f64::consts::PI;
+        match self {
+            Shape::HalfSpace { .. } | Shape::Heightfield(_) => None,
+            Shape::Sphere { radius, .. } => Some(4.0 / 3.0 * PI * radius.powi(3)),
+            Shape::Box { half, .. } => Some(8.0 * half[0] * half[1] * half[2]),
+            Shape::Cylinder { a, b, radius } => Some(PI * radius * radius * vec3::norm(vec3::sub(*b, *a))),
+            Shape::Capsule { a, b, radius } => Some(PI * radius * radius * (vec3::norm(vec3::sub(*b, *a)) + 4.0 / 3.0 * radius)),
+            Shape::Field(f) => Some(f.volume()),
+        }
+    }
+
     /// Smallest and largest corner of an axis-aligned box around the solid; `None` for solids without end.
     pub fn bounds(&self) -> Option<(Vec3<f64>, Vec3<f64>)> {
         let around = |c: Vec3<f64>, h: Vec3<f64>| Some((vec3::sub(c, h), vec3::add(c, h)));

@@ -1,5 +1,6 @@
 //! From the scene's words to the simulator's numbers.
 
+use std::cell::RefCell;
 use std::collections::HashMap;
 
 use megas_math::{quat, vec3};
@@ -8,7 +9,7 @@ use megas_scene::{
     AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, HeatTransfer, MomentumTransfer, MotionKey, Object, Placement, Quantity, Region,
     ResolvedMaterial, Scene, Severity,
 };
-use megas_sim::collider::SCENE_CONTACT_OFFSET;
+use megas_sim::collider::{SCENE_CONTACT_OFFSET, Thermal};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
 use megas_sim::particles::MAX_NODES;
@@ -16,13 +17,14 @@ use megas_sim::phase::PhaseOptions;
 use megas_sim::region;
 use megas_sim::schedule::{Duty, Motion, PoseKey, Schedule};
 use megas_sim::solver::{Coupling, Solver, SolverConfig};
-use megas_sim::source::{Film, HeatSource, SourceKind};
+use megas_sim::source::{Film, HeatSource, Light, Radiant, SourceKind};
 use megas_sim::table::{Table, TableError, Tables};
 use megas_sim::thermal::{AirModel, ThermalOptions, Transfer, natural_film_coefficient};
 
-use crate::Failure;
 use crate::body::{Bodies, BodyMeta, scene_objects, total_height};
 use crate::colliders::support_height;
+use crate::meshes::Meshes;
+use crate::{Failure, LoadedScene};
 
 /// What sources need to know about the bodies.
 pub struct HeatContext<'a> {
@@ -36,6 +38,8 @@ pub struct HeatContext<'a> {
     pub default_source_k: f64,
     /// Film coefficient of natural convection around the bodies \[W/(m²·K)\].
     pub natural_film: f64,
+    /// Turns mesh files into shapes.
+    pub meshes: &'a Meshes<'a>,
 }
 
 /// The simulator's source of one `[[heat]]`.
@@ -47,6 +51,9 @@ pub fn heat_source(heat: &Heat, context: &HeatContext<'_>) -> Result<HeatSource,
         Quantity::Flux(watts_per_m2) => SourceKind::Flux { watts_per_m2 },
         Quantity::Film { coefficient, temperature_k } => {
             SourceKind::Film(Film { ambient: temperature_k, coefficient: coefficient.unwrap_or(context.natural_film), emissivity: 0.0 })
+        }
+        Quantity::Radiant { strength, absorptivity } => {
+            SourceKind::Radiant(Radiant { light: light(heat, context.placement), strength, absorptivity })
         }
         Quantity::Radiation { emissivity, temperature_k } => {
             SourceKind::Film(Film { ambient: temperature_k, coefficient: 0.0, emissivity })
@@ -65,14 +72,28 @@ pub fn heat_source(heat: &Heat, context: &HeatContext<'_>) -> Result<HeatSource,
     };
     Ok(HeatSource {
         name: heat.name.clone(),
-        region: heat_region(&heat.region, heat.frame, context)?,
+        region: heat_region(&heat.region, heat.frame, !heat.motion.is_empty(), context)?,
         kind,
         schedule,
         motion: motion(&heat.motion, heat.frame, context.placement),
     })
 }
 
-fn heat_region(r: &Region, frame: Frame, context: &HeatContext<'_>) -> Result<region::Region, Failure> {
+/// Half of the opening angle of a torch that does not say \[°\].
+const CONE_DEG: f64 = 20.0;
+
+/// Where the light of a radiant source comes from.
+fn light(heat: &Heat, placement: &Placement) -> Light {
+    let direction = heat.direction.map_or([0.0, 0.0, -1.0], |d| placement.direction(heat.frame, d));
+    match heat.position {
+        None => Light::Sun { direction },
+        Some(p) => {
+            Light::Torch { position: placement.point(heat.frame, p), direction, half_angle: heat.cone_deg.unwrap_or(CONE_DEG).to_radians() }
+        }
+    }
+}
+
+fn heat_region(r: &Region, frame: Frame, moves: bool, context: &HeatContext<'_>) -> Result<region::Region, Failure> {
     let object = |name: &str| {
         context
             .objects
@@ -82,6 +103,7 @@ fn heat_region(r: &Region, frame: Frame, context: &HeatContext<'_>) -> Result<re
     };
     match (r, r.to_si(frame, context.placement)) {
         (_, Some(shape)) => Ok(shape.into()),
+        (Region::Mesh(m), None) => Ok(context.meshes.shape(frame, m, moves)?.into()),
         (Region::Surface(name), None) if name == "all" => Ok(region::Region::Surface(None)),
         (Region::Surface(name), None) => Ok(region::Region::Surface(Some(object(name)?))),
         (Region::Object(name), None) if name != "all" => Ok(region::Region::Object(object(name)?)),
@@ -295,7 +317,8 @@ pub struct Prepared {
 }
 
 /// The simulator's configuration of a scene with built bodies.
-pub fn prepare(scene: &Scene, bodies: &Bodies) -> Result<Prepared, Failure> {
+pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failure> {
+    let scene = &loaded.scene;
     let meta = &bodies.meta;
     let objects = scene_objects(scene);
     let height = total_height(meta);
@@ -315,7 +338,10 @@ pub fn prepare(scene: &Scene, bodies: &Bodies) -> Result<Prepared, Failure> {
     let names: HashMap<String, u16> = meta.objects.iter().map(|o| (o.name.clone(), o.number)).collect();
     let volume: f64 = meta.objects.iter().map(|o| o.volume_m3).sum();
     let hottest = materials.iter().map(ResolvedMaterial::melting_point).filter(|t| t.is_finite()).fold(scene.ambient_k(), f64::max);
+    let grid = grid(scene, meta)?;
+    let meshes = Meshes { base_dir: &loaded.base_dir, placement: &placement, grid: &grid, remarks: RefCell::default() };
     let context = HeatContext {
+        meshes: &meshes,
         placement: &placement,
         objects: &names,
         ambient_k: scene.ambient_k(),
@@ -332,9 +358,10 @@ pub fn prepare(scene: &Scene, bodies: &Bodies) -> Result<Prepared, Failure> {
         HeatTransfer::Affine => Transfer::AffineOverwrite,
         HeatTransfer::Pic => Transfer::PicOverwrite,
     };
-    let colliders = crate::colliders::colliders(scene, meta)?;
+    let colliders = crate::colliders::colliders(scene, bodies, &meshes)?;
+    remarks.append(&mut meshes.remarks.borrow_mut());
     let mut config = SolverConfig {
-        grid: grid(scene, meta)?,
+        grid,
         materials: materials.iter().map(sim_material).collect::<Result<_, _>>()?,
         sources,
         colliders,
@@ -358,6 +385,11 @@ pub fn prepare(scene: &Scene, bodies: &Bodies) -> Result<Prepared, Failure> {
         Clock::MeltIn(_) => 1.0,
     };
     config.materials = config.materials.iter().map(|m| m.accelerated(factor)).collect();
+    for c in &mut config.colliders {
+        if let Thermal::Conducting(inside) = &mut c.thermal {
+            inside.volumetric_capacity /= factor;
+        }
+    }
     Ok(Prepared { config, acceleration: factor, melt_time, remarks })
 }
 

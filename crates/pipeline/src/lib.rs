@@ -3,6 +3,7 @@
 //! Every stage leaves its result on disk (`DIR/reconstruct` or `DIR/finetune` where something is trained, `DIR/body`, `DIR/sim`, `DIR/frames`) together with a key of what it was made from;
 //! the next stage, or a later run, starts from there.
 
+mod background;
 mod body;
 mod cameras;
 mod colliders;
@@ -10,6 +11,7 @@ mod convert;
 mod demo;
 mod disk;
 mod inspect;
+mod meshes;
 mod plan;
 mod reconstruct;
 mod render;

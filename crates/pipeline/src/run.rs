@@ -121,14 +121,17 @@ fn simulation(
     sink: &dyn Sink,
 ) -> Result<(Value, PathBuf, String), Failure> {
     let s = &loaded.scene;
-    let key = KeyBuilder::new("sim")
+    let mut key = KeyBuilder::new("sim")
         .text(body_key)
         .settings(&s.heat)?
         .settings(&s.support)?
         .settings(&s.colliders)?
         .settings(&s.time)?
-        .settings(&s.simulation)?
-        .finish();
+        .settings(&s.simulation)?;
+    for mesh in crate::meshes::files(s, &loaded.base_dir) {
+        key = key.file(&mesh)?;
+    }
+    let key = key.finish();
     let (stage, found) = StageDir::open(options, "sim", key.clone())?;
     let figures = match found {
         Found::Done(figures) => {

@@ -27,7 +27,7 @@ pub fn frames(loaded: &LoadedScene) -> u64 {
 
 /// Runs or continues the simulation and returns its figures.
 pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: Found, sink: &dyn Sink) -> Result<Value, Failure> {
-    let Prepared { config, acceleration, melt_time, remarks } = prepare(&loaded.scene, bodies)?;
+    let Prepared { config, acceleration, melt_time, remarks } = prepare(loaded, bodies)?;
     for r in &remarks {
         sink.event(Event::Warning(r));
     }

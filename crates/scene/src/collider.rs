@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::shape::{BoxShape, Frame, Plane, Sphere, Tube};
+use crate::heat::MotionKey;
+use crate::shape::{BoxShape, Frame, HeightShape, MeshShape, Plane, Sphere, Tube};
 
 /// How material behaves at a collider.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -32,9 +33,42 @@ pub enum ColliderShape {
     Cylinder(Tube),
     /// A cylinder with round ends.
     Capsule(Tube),
+    /// A triangle mesh out of a file.
+    Mesh(MeshShape),
+    /// Ground of varying height.
+    Heightfield(HeightShape),
 }
 
-/// A solid body at rest that material cannot enter.
+/// The inside of a collider that stores and conducts heat: a stove slab, a pan, a poker.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Conducting {
+    /// Temperature at the start in °C; room temperature if left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -273.15, max = 10000.0))]
+    pub initial_temperature_c: Option<f64>,
+    /// Density in kg/m³.
+    #[schemars(range(min = 1.0, max = 30000.0))]
+    pub density_kg_m3: f64,
+    /// Specific heat in J/(kg·K).
+    #[schemars(range(min = 1.0, max = 100000.0))]
+    pub heat_capacity_j_kgk: f64,
+    /// Conductivity in W/(m·K). A collider with `motion` has one temperature throughout.
+    #[schemars(range(min = 1e-4, max = 5000.0))]
+    pub conductivity_w_mk: f64,
+    /// Heating in its inside in W; negative cools.
+    #[schemars(range(min = -1e9, max = 1e9))]
+    pub power_w: f64,
+}
+
+impl Default for Conducting {
+    /// Cast iron.
+    fn default() -> Self {
+        Self { initial_temperature_c: None, density_kg_m3: 7200.0, heat_capacity_j_kgk: 460.0, conductivity_w_mk: 52.0, power_w: 0.0 }
+    }
+}
+
+/// A solid body that material cannot enter; it may move.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Collider {
@@ -60,6 +94,18 @@ pub struct Collider {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -273.15, max = 10000.0))]
     pub temperature_c: Option<f64>,
+    /// Instead of one temperature: [[time_s, °C], …], linear in between.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub temperature_keyframes: Vec<[f64; 2]>,
+    /// Instead of a given temperature: it stores and conducts heat itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub conducting: Option<Conducting>,
+    /// How it moves: rigid motion, linear between keyframes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub motion: Vec<MotionKey>,
+    /// When it exists: [[from_s, until_s], …]; always if left out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub active_s: Vec<[f64; 2]>,
 }
 
 fn default_friction() -> f64 {
@@ -70,12 +116,27 @@ fn yes() -> bool {
     true
 }
 
-/// The plane that everything stands on: fitted under the objects, or their lowest point.
+/// What of the scene behind the objects is solid.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Background {
+    /// The plane that everything stands on.
+    #[default]
+    Plane,
+    /// The whole surface that the background splats show from above: tables end, bowls hold.
+    Collider,
+    /// Nothing.
+    None,
+}
+
+/// The plane that everything stands on: fitted under the objects, or their lowest point; or the reconstructed background.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Support {
     /// Put a floor under the objects.
     pub enabled: bool,
+    /// What is solid: "plane", "collider" (the surface of the background splats) or "none".
+    pub background: Background,
     /// Raises (or lowers) the floor from where it was found, as a fraction of the objects' longest side.
     #[schemars(range(min = -10.0, max = 1.0))]
     pub raise: f64,
@@ -96,6 +157,7 @@ impl Default for Support {
     fn default() -> Self {
         Self {
             enabled: true,
+            background: Background::default(),
             raise: 0.0,
             mode: ColliderMode::default(),
             friction: default_friction(),

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::CELSIUS_K;
-use crate::shape::{BoxShape, Frame, HalfSpace, Placement, Sphere, Tube};
+use crate::shape::{BoxShape, Frame, HalfSpace, MeshShape, Placement, Sphere, Tube};
 use crate::value::Auto;
 
 /// What a heat source does inside its region. Any of them cools when it is colder than the object.
@@ -25,6 +25,9 @@ pub enum HeatKind {
     Film,
     /// Surface in the region exchanges radiation with surroundings of `temperature_c`, with `emissivity`: a grill, a fire.
     Radiation,
+    /// Light that falls on surface in the region and casts shadows: the sun (`direction`, `intensity_w_m2`) or a torch (`position`,
+    /// `power_w`).
+    Radiant,
 }
 
 /// A heat source.
@@ -44,7 +47,7 @@ pub struct Heat {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -273.15, max = 10000.0))]
     pub temperature_c: Option<f64>,
-    /// Total power in W, for the kind power; negative cools.
+    /// Total power in W, for the kind power (negative cools), or of the light of a torch of the kind radiant.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -1e9, max = 1e9))]
     pub power_w: Option<f64>,
@@ -64,6 +67,24 @@ pub struct Heat {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub emissivity: Option<f64>,
+    /// Irradiance in W/m² across its direction, for the kind radiant without `position`. Sun: 1000.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e9))]
+    pub intensity_w_m2: Option<f64>,
+    /// Share of the light that the surface takes, for the kind radiant, 0–1; default 0.9.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub absorptivity: Option<f64>,
+    /// Way of the light, for the kind radiant; default straight down.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub direction: Option<[f64; 3]>,
+    /// Where a torch of the kind radiant is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position: Option<[f64; 3]>,
+    /// Half of the opening angle of a torch's cone in degrees; default 20. 180 shines everywhere.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1.0, max = 180.0))]
+    pub cone_deg: Option<f64>,
     /// When it is on.
     pub schedule: Schedule,
     /// How it moves: rigid motion of the region, linear between keyframes.
@@ -85,6 +106,8 @@ pub enum Region {
     Capsule(Tube),
     /// One side of a plane.
     HalfSpace(HalfSpace),
+    /// The inside of a triangle mesh out of a file.
+    Mesh(MeshShape),
     /// All of an object, by name; "all" for every object.
     Object(String),
     /// The surface of an object, by name; "all" for every object.
@@ -98,7 +121,8 @@ impl Default for Region {
 }
 
 impl Region {
-    /// The shape in metres; `None` for [`Region::Object`] and [`Region::Surface`], which are sets of points.
+    /// The shape in metres; `None` for [`Region::Mesh`], which has to be read, and for [`Region::Object`] and [`Region::Surface`],
+    /// which are sets of points.
     pub fn to_si(&self, frame: Frame, placement: &Placement) -> Option<Shape> {
         match self {
             Self::Sphere(s) => Some(placement.sphere(frame, s)),
@@ -106,7 +130,7 @@ impl Region {
             Self::Cylinder(t) => Some(placement.cylinder(frame, t)),
             Self::Capsule(t) => Some(placement.capsule(frame, t)),
             Self::HalfSpace(h) => Some(placement.half_space(frame, h)),
-            Self::Object(_) | Self::Surface(_) => None,
+            Self::Mesh(_) | Self::Object(_) | Self::Surface(_) => None,
         }
     }
 }
@@ -219,6 +243,13 @@ pub enum Quantity {
         /// Temperature of the surroundings \[K\].
         temperature_k: f64,
     },
+    /// Light with shadows; place and direction are in the [`Heat`].
+    Radiant {
+        /// Irradiance \[W/m²\] without a position, radiated power \[W\] with one.
+        strength: f64,
+        /// Share that the surface takes, 0–1.
+        absorptivity: f64,
+    },
 }
 
 impl Heat {
@@ -246,6 +277,10 @@ impl Heat {
             HeatKind::Film => Quantity::Film {
                 coefficient: self.film_coefficient_w_m2k.unwrap_or(Auto::Auto).value(),
                 temperature_k: kelvin.unwrap_or(ambient_k),
+            },
+            HeatKind::Radiant => Quantity::Radiant {
+                strength: value(if self.position.is_some() { self.power_w } else { self.intensity_w_m2 }),
+                absorptivity: self.absorptivity.unwrap_or(0.9),
             },
             HeatKind::Radiation => {
                 Quantity::Radiation { emissivity: self.emissivity.unwrap_or(0.9), temperature_k: kelvin.unwrap_or(ambient_k) }

@@ -30,7 +30,7 @@ mod shape;
 mod value;
 
 pub use camera::{Camera, CameraKey, Orbit};
-pub use collider::{Collider, ColliderMode, ColliderShape, Support};
+pub use collider::{Background, Collider, ColliderMode, ColliderShape, Conducting, Support};
 pub use diagnostic::{Diagnostic, SceneError, Severity};
 pub use heat::{Heat, HeatKind, MotionKey, Quantity, Region, Schedule};
 pub use input::{Backdrop, Finetune, FinetuneSettings, Input, Method, Profile, Reconstruct};
@@ -44,7 +44,7 @@ pub use schema::json_schema;
 pub use settings::{
     Air, AirMode, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Push, Quality, Simulation, Skin, Time,
 };
-pub use shape::{BoxShape, Frame, HalfSpace, Placement, Plane, Sphere, Tube};
+pub use shape::{BoxShape, Frame, HalfSpace, HeightShape, MeshShape, Placement, Plane, Sphere, Tube};
 pub use value::{Auto, Colour, Up};
 
 /// Offset between degrees Celsius (scene files) and kelvin (everything inside).

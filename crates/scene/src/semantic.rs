@@ -8,7 +8,7 @@ use crate::heat::{Heat, HeatKind, MotionKey, Region};
 use crate::object::{Object, Select};
 use crate::presets::material_presets;
 use crate::scene::Scene;
-use crate::shape::{BoxShape, Tube};
+use crate::shape::{BoxShape, MeshShape, Tube};
 
 /// Something wrong, and where.
 pub(crate) struct Problem {
@@ -202,16 +202,22 @@ fn materials(scene: &Scene, r: &mut Report) {
 }
 
 /// The value keys of a kind: (key, given, used by this kind, needed by it).
-fn value_keys(h: &Heat) -> [(&'static str, bool, bool, bool); 6] {
+fn value_keys(h: &Heat) -> [(&'static str, bool, bool, bool); 11] {
     use HeatKind::*;
     let k = h.kind;
+    let (torch, sun) = (k == Radiant && h.position.is_some(), k == Radiant && h.position.is_none());
     [
         ("temperature_c", h.temperature_c.is_some(), matches!(k, Temperature | Film | Radiation), matches!(k, Film | Radiation)),
-        ("power_w", h.power_w.is_some(), k == Power, k == Power),
+        ("power_w", h.power_w.is_some(), k == Power || torch, k == Power || torch),
         ("volume_w_m3", h.volume_w_m3.is_some(), k == Volume, k == Volume),
         ("flux_w_m2", h.flux_w_m2.is_some(), k == Flux, k == Flux),
         ("film_coefficient_w_m2k", h.film_coefficient_w_m2k.is_some(), k == Film, false),
         ("emissivity", h.emissivity.is_some(), k == Radiation, false),
+        ("intensity_w_m2", h.intensity_w_m2.is_some(), sun, sun),
+        ("absorptivity", h.absorptivity.is_some(), k == Radiant, false),
+        ("direction", h.direction.is_some(), k == Radiant, false),
+        ("position", h.position.is_some(), k == Radiant, false),
+        ("cone_deg", h.cone_deg.is_some(), torch, false),
     ]
 }
 
@@ -239,7 +245,11 @@ fn heat(scene: &Scene, h: &Heat, r: &mut Report) {
         Region::Box(b) => r.inside("region", None, |r| r.inside("box", None, |r| boxed(b, r))),
         Region::Cylinder(t) => r.inside("region", None, |r| r.inside("cylinder", None, |r| tube(t, r))),
         Region::HalfSpace(p) => direction(p.direction, "region.half_space.direction", r),
+        Region::Mesh(m) => r.inside("region", None, |r| mesh(m, r)),
         Region::Sphere(_) | Region::Capsule(_) => {}
+    }
+    if let Some(d) = h.direction {
+        direction(d, "direction", r);
     }
     if h.kind == HeatKind::Temperature && matches!(h.region, Region::Surface(_)) {
         r.say("region", "heat.region: kind = \"temperature\" holds a volume; use object instead of surface, or kind = \"film\"");
@@ -269,12 +279,56 @@ fn motion(keys: &[MotionKey], r: &mut Report) {
     }
 }
 
+fn mesh(m: &MeshShape, r: &mut Report) {
+    r.inside("mesh", None, |r| {
+        if m.file.is_empty() {
+            r.say("file", "mesh.file is empty; give the path of a .ply, .obj or .glb file");
+        }
+        direction(m.up.0, "up", r);
+    });
+}
+
 fn collider(c: &Collider, r: &mut Report) {
     match &c.shape {
         ColliderShape::Plane(p) => direction(p.normal, "shape.plane.normal", r),
         ColliderShape::Box(b) => r.inside("shape", None, |r| r.inside("box", None, |r| boxed(b, r))),
         ColliderShape::Cylinder(t) => r.inside("shape", None, |r| r.inside("cylinder", None, |r| tube(t, r))),
+        ColliderShape::Mesh(m) => r.inside("shape", None, |r| mesh(m, r)),
+        ColliderShape::Heightfield(h) => {
+            if h.count().is_none() {
+                r.say("shape.heightfield.heights", "heightfield.heights: write two or more lists, all with the same number of heights");
+            }
+            if (0..2).any(|a| h.min[a] >= h.max[a]) {
+                r.say("shape.heightfield.min", "heightfield: min must lie below max along x and y");
+            }
+            if !c.motion.is_empty() {
+                r.say("motion", "collider.motion: a heightfield has no end and cannot move; use a mesh");
+            }
+        }
         ColliderShape::Sphere(_) | ColliderShape::Capsule(_) => {}
+    }
+    let given = [
+        ("temperature_c", c.temperature_c.is_some()),
+        ("temperature_keyframes", !c.temperature_keyframes.is_empty()),
+        ("conducting", c.conducting.is_some()),
+    ];
+    let given: Vec<&str> = given.iter().filter(|g| g.1).map(|g| g.0).collect();
+    if let [first, .., last] = given[..] {
+        r.say(last, format!("collider: {first} and {last} exclude each other; give one"));
+    }
+    let k = &c.temperature_keyframes;
+    if k.windows(2).any(|w| w[0][0] >= w[1][0]) {
+        r.say("temperature_keyframes", "collider.temperature_keyframes: times must increase");
+    }
+    if k.iter().any(|k| k[1] < -273.15) {
+        r.say("temperature_keyframes", "collider.temperature_keyframes: temperatures in °C, at least -273.15");
+    }
+    if c.conducting.is_some() && matches!(c.shape, ColliderShape::Plane(_)) && !c.motion.is_empty() {
+        r.say("conducting", "collider.conducting: a plane has no end, and so no heat content of its own, while it moves; use a box");
+    }
+    motion(&c.motion, r);
+    if c.active_s.iter().any(|i| i[0] >= i[1]) {
+        r.say("active_s", "collider.active_s: write [[from, until], …] with from before until");
     }
 }
 

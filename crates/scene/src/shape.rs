@@ -1,10 +1,14 @@
 //! Shapes, the two frames they may be given in, and the way from both to metres (simulation.md §0.1).
 
-use megas_geometry::Shape;
+use std::sync::Arc;
+
+use megas_geometry::{Heightfield, Shape};
 use megas_math::{Mat3, mat3, vec3};
 use megas_model::Similarity;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::value::Up;
 
 /// What positions and lengths of a shape mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -73,6 +77,49 @@ pub struct Plane {
     pub point: [f64; 3],
     /// Direction out of the solid; any length but zero.
     pub normal: [f64; 3],
+}
+
+/// A triangle mesh out of a file (.ply, .obj or .glb). Holes do no harm; parts thinner than two cells become two cells thick.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeshShape {
+    /// Path of the file, relative to the scene file.
+    pub file: String,
+    /// Length of its longest side; if left out, the numbers of the file are lengths of the frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1e-9, max = 1e9))]
+    pub size: Option<f64>,
+    /// Where the centre of its box goes; if left out, the coordinates of the file are positions in the frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position: Option<[f64; 3]>,
+    /// The direction that points up in the file, in the object frame only: "+x", "-x", "+y", "-y", "+z", "-z", or three numbers.
+    #[serde(default)]
+    pub up: Up,
+    /// Rotation about the centre of its box in degrees: about x, then y, then z (fixed axes), after `up`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotation_deg: Option<[f64; 3]>,
+}
+
+/// Ground of varying height: heights over a rectangle, solid below.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct HeightShape {
+    /// Smallest corner of the rectangle and lowest height; +z is up whatever the frame.
+    pub min: [f64; 3],
+    /// Largest corner of the rectangle and greatest height.
+    pub max: [f64; 3],
+    /// Heights from 0 (`min`) to 1 (`max`): one list per place along x, from `min` to `max`, each with the heights along y.
+    #[schemars(length(min = 2))]
+    pub heights: Vec<Vec<f64>>,
+}
+
+impl HeightShape {
+    /// Number of lists and length of each; `None` unless all have the same length of at least two.
+    pub(crate) fn count(&self) -> Option<[usize; 2]> {
+        let columns = self.heights.first()?.len();
+        let even = self.heights.len() >= 2 && columns >= 2 && self.heights.iter().all(|h| h.len() == columns);
+        even.then_some([self.heights.len(), columns])
+    }
 }
 
 impl BoxShape {
@@ -161,6 +208,41 @@ impl Placement {
         Shape::Capsule { a: self.point(frame, t.from), b: self.point(frame, t.to), radius: self.length(frame, t.radius) }
     }
 
+    /// The vertices of a mesh, as its file has them, in metres.
+    pub fn mesh(&self, frame: Frame, m: &MeshShape, positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        let fold = |f: fn(f64, f64) -> f64, start: f64| {
+            positions.iter().fold([start; 3], |a, x| std::array::from_fn(|k| f(a[k], f64::from(x[k]))))
+        };
+        let (lo, hi) = (fold(f64::min, f64::INFINITY), fold(f64::max, f64::NEG_INFINITY));
+        let center = vec3::lerp(lo, hi, 0.5);
+        let longest = (0..3).map(|a| hi[a] - lo[a]).fold(0.0, f64::max);
+        let scale = match m.size {
+            Some(size) if longest > 0.0 => self.length(frame, size) / longest,
+            _ => self.length(frame, 1.0),
+        };
+        let own = m.rotation_deg.map_or(mat3::diag([1.0; 3]), euler_xyz);
+        let turn = match frame {
+            Frame::Scene => mat3::mul(self.similarity.rotation, own),
+            Frame::Object => mat3::mul(own, Similarity::rotation_from_up(m.up.0)),
+        };
+        let place = self.point(frame, m.position.unwrap_or(center));
+        let map = |x: &[f32; 3]| {
+            let r = mat3::mul_vec(turn, vec3::sub(vec3::cast(*x), center));
+            vec3::cast(vec3::add_scaled(place, r, scale))
+        };
+        positions.iter().map(map).collect()
+    }
+
+    /// Ground of the file in metres; `None` if its heights are not a rectangle of numbers.
+    pub fn heightfield(&self, frame: Frame, h: &HeightShape) -> Option<Shape> {
+        // A rectangle that is turned with the file's axes would not stand upright; only its corners are.
+        let (a, b) = (self.point(frame, h.min), self.point(frame, h.max));
+        let (lo, hi) = (vec3::min(a, b), vec3::max(a, b));
+        let heights = h.heights.iter().flatten().map(|v| lo[2] + v * (hi[2] - lo[2])).collect();
+        let field = Heightfield::new([lo[0], lo[1]], [hi[0] - lo[0], hi[1] - lo[1]], h.count()?, heights)?;
+        Some(Shape::Heightfield(Arc::new(field)))
+    }
+
     /// A half-space of the file in metres.
     pub fn half_space(&self, frame: Frame, h: &HalfSpace) -> Shape {
         // The file says where the half-space lies, the shape which way its surface faces.
@@ -213,5 +295,30 @@ mod tests {
         let plank = BoxShape { min: [-1.0, -0.1, -0.1], max: [1.0, 0.1, 0.1], rotation_deg: Some([0.0, 0.0, 90.0]) };
         let turned = p.boxed(Frame::Scene, &plank);
         assert!(turned.contains([0.0, 0.9, 0.0]) && !turned.contains([0.9, 0.0, 0.0]));
+    }
+
+    #[test]
+    fn meshes_are_placed_by_size_position_and_up() {
+        let p = placement();
+        // A file with y up: a tower 4 high on a square of side 2.
+        let file = [[-1.0, 0.0, -1.0], [1.0, 4.0, 1.0], [1.0, 0.0, -1.0]];
+        let tower = MeshShape {
+            file: "tower.obj".into(),
+            size: Some(0.5),
+            position: Some([0.5, 0.5, 1.0]),
+            up: Up([0.0, 1.0, 0.0]),
+            rotation_deg: None,
+        };
+        let x = p.mesh(Frame::Object, &tower, &file);
+        // Half of the longest side of 0.4 m, its centre in the middle of the top at z = 0.2 m.
+        let (lo, hi) = (vec3::min(x[0], x[1]), vec3::max(x[0], x[1]));
+        assert!((hi[2] - lo[2] - 0.2).abs() < 1e-6 && (hi[0] - lo[0] - 0.1).abs() < 1e-6, "{x:?}");
+        assert!((lo[2] - 0.1).abs() < 1e-6 && x[2][2] == x[0][2]);
+        // In the scene frame the file's coordinates are the splats'.
+        let own = MeshShape { size: None, position: None, up: Up::default(), ..tower };
+        let y = p.mesh(Frame::Scene, &own, &file);
+        for (a, b) in file.iter().zip(y) {
+            assert!(vec3::norm(vec3::sub(p.similarity.to_si(vec3::cast(*a)), vec3::cast(b))) < 1e-6);
+        }
     }
 }

@@ -30,6 +30,22 @@ pub enum Thermal {
         /// Temperatures over time `[t, K]` with increasing t, linear between, constant outside; they replace `kelvin`.
         keyframes: Vec<[f64; 2]>,
     },
+    /// It stores and conducts heat itself: a stove slab, a pan, a poker.
+    Conducting(Conductor),
+}
+
+/// The inside of an obstacle that takes part in the heat. One at rest has a temperature in every node; one that moves has a
+/// single temperature, as if it conducted perfectly.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Conductor {
+    /// Temperature at the start \[K\].
+    pub kelvin: f64,
+    /// Heat capacity per volume ρc \[J/(m³·K)\], > 0.
+    pub volumetric_capacity: f64,
+    /// Conductivity \[W/(m·K)\], > 0.
+    pub conductivity: f64,
+    /// Heating spread over its inside \[W\].
+    pub watts: f64,
 }
 
 /// An obstacle, perhaps a moving one.

@@ -16,6 +16,7 @@ use crate::mechanics::{Mechanics, Report, Settings};
 use crate::particles::{ParticleError, Particles};
 use crate::phase::{PhaseOptions, PhaseRule, scale_deviator, swell};
 use crate::source::HeatSource;
+use crate::thermal::solids::Solids;
 use crate::thermal::{Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver};
 
 pub use export::Checkpoint;
@@ -141,7 +142,7 @@ impl Solver {
             return Err(SimError::Empty(format!("the points have a volume of {volume0} m³")));
         }
         let mut particles = Particles::new(points, &config.grid, &config.materials)?;
-        let thermal = ThermalSolver::new(config.grid, &config.materials, config.ambient, config.thermal);
+        let mut thermal = ThermalSolver::new(config.grid, &config.materials, config.ambient, config.thermal);
         let rules: Vec<PhaseRule> = config.materials.iter().map(|m| PhaseRule::new(m, &config.phase)).collect();
         for i in 0..particles.len() {
             let m = particles.material[i];
@@ -165,7 +166,9 @@ impl Solver {
         particles.sort();
         let settings = Settings { gravity: config.gravity, plain_momentum: config.coupling.plain_momentum, ..Settings::default() };
         let mechanics = Mechanics::new(&config.grid, settings, config.colliders.clone());
-        let walls = Walls::new(&config.grid, &config.colliders);
+        let (solids, cells) = Solids::new(&config.grid, &config.colliders);
+        thermal.set_solids(solids);
+        let walls = Walls::new(&config.grid, &config.colliders, cells);
         Ok(Self {
             particles,
             mechanics,
@@ -186,7 +189,9 @@ impl Solver {
     pub fn probe_power(&mut self) -> Result<Vec<(f64, f64)>, SimError> {
         const SHORT: f64 = 1e-4;
         let backup = (self.particles.enthalpy.clone(), self.particles.temperature_gradient.clone());
+        let solids = self.thermal.solids().clone();
         self.heat(0.0, SHORT)?;
+        self.thermal.set_solids(solids);
         (self.particles.enthalpy, self.particles.temperature_gradient) = backup;
         Ok(self.thermal.reports().iter().map(|r| (r.heat / SHORT, r.area)).collect())
     }
@@ -249,10 +254,12 @@ impl Solver {
         let dt = self.config.frame_dt / steps as f64;
         let start = self.time();
         let at_frame = (self.particles.clone(), self.totals.clone(), self.cautious);
+        let solids = self.thermal.solids().clone();
         let mut report = FrameReport::default();
         for c in 0..steps {
             if stop() {
                 (self.particles, self.totals, self.cautious) = at_frame;
+                self.thermal.set_solids(solids);
                 return Ok(None);
             }
             self.coupling_step(start + c as f64 * dt, dt, &mut report)?;

@@ -1,5 +1,6 @@
 //! Heat sources: region × kind × schedule × motion (simulation.md §4.7).
 
+pub(crate) mod radiant;
 pub(crate) mod surface;
 pub(crate) mod terms;
 
@@ -55,6 +56,41 @@ pub enum SourceKind {
     },
     /// Exchange of the surface inside the region with surroundings at another temperature.
     Film(Film),
+    /// Light on the surface inside the region, with shadows of material and obstacles. The source's motion moves the light, not
+    /// the region.
+    Radiant(Radiant),
+}
+
+/// Light that surfaces take in part.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Radiant {
+    /// Where it comes from.
+    pub light: Light,
+    /// Irradiance across the direction of [`Light::Sun`] \[W/m²\], power of [`Light::Torch`] \[W\]; keyframes replace it.
+    pub strength: f64,
+    /// Share that the surface takes, 0–1.
+    pub absorptivity: f64,
+}
+
+/// Where light comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Light {
+    /// Parallel rays.
+    Sun {
+        /// Way of the light; any length > 0.
+        direction: [f64; 3],
+    },
+    /// Rays from a point, evenly into a cone.
+    Torch {
+        /// The point \[m\].
+        position: [f64; 3],
+        /// Axis of the cone; any length > 0.
+        direction: [f64; 3],
+        /// Half of its opening angle \[rad\], 0–π.
+        half_angle: f64,
+    },
 }
 
 /// Robin condition: `q″ = h (T − T_∞)` plus grey radiation to the same surroundings.

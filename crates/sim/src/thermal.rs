@@ -6,6 +6,7 @@
 pub(crate) mod enthalpy;
 mod estimate;
 pub(crate) mod network;
+pub(crate) mod solids;
 mod solver;
 pub(crate) mod transfer;
 
@@ -13,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 pub use enthalpy::EnthalpyCurve;
 pub use estimate::natural_film_coefficient;
+pub use solids::Solids;
 pub use solver::{NodeFields, ThermalSolver};
 
 use crate::source::Film;
@@ -98,15 +100,27 @@ pub enum Wall {
     Adiabatic,
     /// In a collider of fixed temperature \[K\]; its face lies half a cell from the next free node.
     Fixed(f32),
+    /// In a collider that conducts heat itself: its cell in [`Solids`].
+    Conducting(u32),
+}
+
+/// What gives and takes heat behind the face of a wall.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Bath {
+    /// A fixed temperature \[K\].
+    Fixed(f64),
+    /// A cell of [`Solids`].
+    Cell(u32),
 }
 
 impl Wall {
-    /// The wall's temperature, if it has one.
+    /// What exchanges heat with the material next to the wall, if anything does.
     #[inline(always)]
-    pub(crate) fn fixed(self) -> Option<f64> {
+    pub(crate) fn bath(self) -> Option<Bath> {
         match self {
-            Wall::Fixed(t) => Some(f64::from(t)),
-            _ => None,
+            Wall::Open | Wall::Adiabatic => None,
+            Wall::Fixed(t) => Some(Bath::Fixed(f64::from(t))),
+            Wall::Conducting(cell) => Some(Bath::Cell(cell)),
         }
     }
 }
@@ -126,7 +140,9 @@ pub struct Audit {
     pub film: f64,
     /// Walls of fixed temperature.
     pub wall: f64,
-    /// `after − before − Σ heat`: rounding, unless something is wrong.
+    /// Colliders that conduct heat.
+    pub solid: f64,
+    /// `after − before − Σ heat`, and the same for the conducting colliders: rounding, unless something is wrong.
     pub residual: f64,
     /// Exposed surface \[m²\]; zero if nothing asked for it.
     pub surface: f64,
@@ -146,6 +162,7 @@ impl Audit {
             dirichlet: self.dirichlet + later.dirichlet,
             film: self.film + later.film,
             wall: self.wall + later.wall,
+            solid: self.solid + later.solid,
             residual: self.residual + later.residual,
             surface: later.surface,
             subcycles: self.subcycles.max(later.subcycles),
@@ -155,9 +172,13 @@ impl Audit {
 
     /// True while the residual stays below `fraction` of the energies involved.
     pub fn closes(&self, fraction: f64) -> bool {
-        let scale =
-            self.before.abs().max(self.after.abs()).max(self.source.abs() + self.dirichlet.abs() + self.film.abs() + self.wall.abs());
-        self.residual.abs() <= fraction * scale
+        self.residual.abs() <= fraction * self.scale()
+    }
+
+    /// The larger of the energies and of the sum of heats, without signs \[J\].
+    pub fn scale(&self) -> f64 {
+        let heat = self.source.abs() + self.dirichlet.abs() + self.film.abs() + self.wall.abs() + self.solid.abs();
+        self.before.abs().max(self.after.abs()).max(heat)
     }
 }
 

@@ -6,6 +6,7 @@ use megas_sim::grid::Grid;
 use megas_sim::mechanics::{Mechanics, Settings, Wall, material_point};
 use megas_sim::particles::{HENCKY, Particles};
 use megas_sim::reference::{self, Law};
+use megas_sim::schedule::{Motion, PoseKey};
 
 use crate::{Case, Outcome, Plot, Row, Tier};
 
@@ -329,8 +330,17 @@ fn plane_slump_fine() -> Outcome {
 /// Acceleration of an elastic block along the slope over `seconds`, its way, and the node spacing. The columns of `frame` point
 /// down the slope, across it and out of it.
 fn slide(shape: Shape, friction: f64, gravity: [f64; 3], frame: Mat3<f64>, seconds: f64) -> (f64, f64, f64) {
-    let dx = 0.02;
-    let grid = Grid { origin: [-0.5, -0.3, -0.9], spacing: dx, nodes: [90, 30, 75] };
+    slide_on(Collider { friction, offset: 0.0, melt_sticks: false, ..Collider::new(shape) }, gravity, frame, seconds)
+}
+
+/// The box of [`slide`].
+const SLIDE: Grid = Grid { origin: [-0.5, -0.3, -0.9], spacing: 0.02, nodes: [90, 30, 75] };
+
+/// Time after which the block of [`slide`] lies still \[s\].
+const SETTLED: f64 = 0.2;
+
+fn slide_on(collider: Collider, gravity: [f64; 3], frame: Mat3<f64>, seconds: f64) -> (f64, f64, f64) {
+    let (grid, dx) = (SLIDE, SLIDE.spacing);
     let (shear, bulk) = moduli(1e6, 0.3);
     let mut p = block(&grid, [-0.08, -0.08, 0.0], [0.08, 0.08, 0.08], 1000.0, shear, bulk);
     for i in 0..p.len() {
@@ -338,7 +348,6 @@ fn slide(shape: Shape, friction: f64, gravity: [f64; 3], frame: Mat3<f64>, secon
         p.set_position(i, mat3::mul_vec(frame, x));
     }
     let down = mat3::column(frame, 0);
-    let collider = Collider { friction, offset: 0.0, melt_sticks: false, ..Collider::new(shape) };
     // Flat enough not to tip over. It falls half a cell until its nodes feel the slope; drag lets it settle without bouncing,
     // and the acceleration is that of the part without drag.
     let mut m = Mechanics::new(&grid, Settings { gravity, drag: 20.0, ..Settings::default() }, vec![collider]);
@@ -351,11 +360,38 @@ fn slide(shape: Shape, friction: f64, gravity: [f64; 3], frame: Mat3<f64>, secon
             m.run(p, step.steps, step.dt);
         }
     };
-    run(&mut m, &mut p, 0.2);
+    run(&mut m, &mut p, SETTLED);
     m.settings.drag = 0.0;
     let (v0, x0) = (speed(&p), along(&p));
     run(&mut m, &mut p, seconds);
     ((speed(&p) - v0) / seconds, along(&p) - x0, dx)
+}
+
+/// A slab below z = 0 as a mesh, turned by `frame`, and its distances on a grid.
+fn mesh_slab(frame: Mat3<f64>) -> Shape {
+    let corner = |i: usize| {
+        let x: [f64; 3] = std::array::from_fn(|a| if i >> a & 1 == 1 { [2.0, 1.0, 0.0][a] } else { [-2.0, -1.0, -0.5][a] });
+        vec3::cast(mat3::mul_vec(frame, x))
+    };
+    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let triangles = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+    let mesh = megas_model::Mesh { positions: (0..8).map(corner).collect(), triangles, ..Default::default() };
+    let within = (SLIDE.origin, SLIDE.position(SLIDE.nodes.map(|n| n - 1)));
+    let field = megas_geometry::mesh_field(&mesh, SLIDE.spacing, Some(within)).unwrap_or_else(|e| panic!("{e}"));
+    Shape::Field(std::sync::Arc::new(field.field))
+}
+
+/// The acceleration of a block on a belt that starts to run \[m/s²\].
+fn belt() -> f64 {
+    let key = |time, x| PoseKey { time, translation: [x, 0.0, 0.0], rotation: [1.0, 0.0, 0.0, 0.0] };
+    let belt = Collider {
+        friction: 0.3,
+        offset: 0.0,
+        melt_sticks: false,
+        motion: Motion(vec![key(SETTLED, 0.0), key(SETTLED + 1.0, 2.0)]),
+        ..Collider::new(Shape::HalfSpace { point: [0.0; 3], normal: [0.0, 0.0, 1.0] })
+    };
+    slide_on(belt, [0.0, 0.0, -GRAVITY], mat3::identity(), 0.3).0
 }
 
 fn friction() -> Outcome {
@@ -376,6 +412,9 @@ fn friction() -> Outcome {
         Row::relative("plane, μ 0.3: acceleration [m/s²]", exact, flat, 0.05),
         Row::relative("tilted plane, μ 0.3: acceleration [m/s²]", exact, slide(slope, 0.3, weight, tilted, 0.3).0, 0.05),
         Row::relative("box: acceleration, against the plane", flat, slide(table, 0.3, pull, level, 0.3).0, 0.01),
+        Row::relative("mesh: acceleration, against the plane", flat, slide(mesh_slab(level), 0.3, pull, level, 0.3).0, 0.01),
+        Row::relative("tilted mesh: acceleration, against the plane", flat, slide(mesh_slab(tilted), 0.3, weight, tilted, 0.3).0, 0.01),
+        Row::relative("running belt, μ 0.3: acceleration of what lies on it [m/s²]", 0.3 * GRAVITY, belt(), 0.05),
         Row::relative("ball of 2 km: acceleration, against the plane", flat, slide(ball, 0.3, pull, level, 0.3).0, 0.01),
     ];
     let (_, moved, dx) = slide(plane, 0.7, pull, level, 0.5);

@@ -19,6 +19,9 @@ pub struct Checkpoint {
     pub totals: Totals,
     /// Coupling steps left with smaller substeps, and their factor.
     pub cautious: (u32, f64),
+    /// Temperatures of the conducting colliders \[K\].
+    #[serde(default)]
+    pub solids: Vec<f64>,
 }
 
 impl Solver {
@@ -53,7 +56,13 @@ impl Solver {
 
     /// What to write besides [`Particles::arrays`] of [`Solver::particles`], right after [`Solver::export`].
     pub fn checkpoint(&self) -> Checkpoint {
-        Checkpoint { points: self.particles.len() as u64, frame: self.frame, totals: self.totals.clone(), cautious: self.cautious }
+        Checkpoint {
+            points: self.particles.len() as u64,
+            frame: self.frame,
+            totals: self.totals.clone(),
+            cautious: self.cautious,
+            solids: self.thermal.solids().temperatures().to_vec(),
+        }
     }
 
     /// Continues from a checkpoint: `arrays` are the bytes of [`Particles::arrays`] in the same order. The run goes on
@@ -74,6 +83,10 @@ impl Solver {
                 return misfit(format!("array '{name}' has {} bytes, expected {}", source.len(), target.len()));
             }
             target.copy_from_slice(source);
+        }
+        if !self.thermal.solids_mut().restore(&checkpoint.solids) {
+            let (has, needs) = (checkpoint.solids.len(), self.thermal.solids().len());
+            return misfit(format!("it has temperatures of {has} cells of colliders, expected {needs}"));
         }
         particles.sort();
         self.particles = particles;

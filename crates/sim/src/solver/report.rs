@@ -119,8 +119,7 @@ impl Totals {
     /// `|R| / max(|E|, Σ|Q|)` of the energy audit (simulation.md §3.7).
     pub fn energy_residual(&self) -> f64 {
         self.audit.map_or(0.0, |a| {
-            let heat = a.source.abs() + a.dirichlet.abs() + a.film.abs() + a.wall.abs();
-            let scale = a.before.abs().max(a.after.abs()).max(heat);
+            let scale = a.scale();
             if scale > 0.0 { a.residual.abs() / scale } else { 0.0 }
         })
     }

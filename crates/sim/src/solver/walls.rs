@@ -7,6 +7,7 @@ use crate::collider::{Collider, Placed, Thermal, placed};
 use crate::grid::Grid;
 use crate::schedule::interpolate;
 use crate::thermal::Wall;
+use crate::thermal::solids::Cells;
 
 /// Not inside any obstacle.
 const FREE: u16 = u16::MAX;
@@ -22,11 +23,12 @@ pub(super) struct Walls {
     /// Condition that each obstacle imposes now.
     conditions: Vec<Wall>,
     nodes: Vec<Wall>,
+    cells: Cells,
 }
 
 impl Walls {
-    /// `None` without obstacles.
-    pub(super) fn new(grid: &Grid, colliders: &[Collider]) -> Option<Self> {
+    /// `None` without obstacles. `cells` are those of the conducting ones.
+    pub(super) fn new(grid: &Grid, colliders: &[Collider], cells: Cells) -> Option<Self> {
         if colliders.is_empty() {
             return None;
         }
@@ -37,7 +39,7 @@ impl Walls {
             fixed.iter().find(|c| c.distance(x).0 < 0.0).map_or(FREE, |c| c.index)
         };
         let fixed: Vec<u16> = (0..grid.len()).into_par_iter().with_min_len(1024).map(owner).collect();
-        Some(Self { owner: fixed.clone(), fixed, changed: Vec::new(), conditions: Vec::new(), nodes: vec![Wall::Open; grid.len()] })
+        Some(Self { owner: fixed.clone(), fixed, changed: Vec::new(), conditions: Vec::new(), nodes: vec![Wall::Open; grid.len()], cells })
     }
 
     /// The conditions at `time` \[s\].
@@ -53,15 +55,26 @@ impl Walls {
             self.claim(grid, c);
         }
         if refill {
-            let (owner, conditions) = (&self.owner, &self.conditions);
-            self.nodes.par_iter_mut().zip(owner).with_min_len(4096).for_each(|(n, o)| *n = wall(conditions, *o));
+            let mut nodes = std::mem::take(&mut self.nodes);
+            nodes.par_iter_mut().enumerate().with_min_len(4096).for_each(|(n, w)| *w = self.wall(n));
+            self.nodes = nodes;
         } else {
             stale.extend_from_slice(&self.changed);
             for n in stale {
-                self.nodes[n as usize] = wall(&self.conditions, self.owner[n as usize]);
+                self.nodes[n as usize] = self.wall(n as usize);
             }
         }
         &self.nodes
+    }
+
+    /// The condition of a node by its owner.
+    fn wall(&self, node: usize) -> Wall {
+        let owner = usize::from(self.owner[node]);
+        match self.conditions.get(owner).copied() {
+            None => Wall::Open,
+            Some(Wall::Conducting(_)) => self.cells.get(owner, node).map_or(Wall::Adiabatic, Wall::Conducting),
+            Some(condition) => condition,
+        }
     }
 
     /// Gives the nodes inside a changeable obstacle to it, unless an earlier one of the list holds them.
@@ -94,14 +107,12 @@ impl Walls {
     }
 }
 
-fn wall(conditions: &[Wall], owner: u16) -> Wall {
-    conditions.get(usize::from(owner)).copied().unwrap_or(Wall::Open)
-}
-
 fn condition(thermal: &Thermal, time: f64) -> Wall {
     match thermal {
         Thermal::Adiabatic => Wall::Adiabatic,
         Thermal::Fixed { kelvin, keyframes } => Wall::Fixed(interpolate(keyframes, time).unwrap_or(*kelvin) as f32),
+        // Which cell depends on the node.
+        Thermal::Conducting(_) => Wall::Conducting(0),
     }
 }
 
@@ -124,7 +135,7 @@ mod tests {
             ..Collider::new(Shape::Capsule { a: [5.0, 6.0, 3.0], b: [5.0, 6.0, 8.0], radius: 1.6 })
         };
         let colliders = [floor, poker];
-        let mut walls = Walls::new(&grid, &colliders).unwrap();
+        let mut walls = Walls::new(&grid, &colliders, Cells::default()).unwrap();
         for time in [0.0, 0.7, 1.4, 2.5, 3.5, 0.7] {
             let got = walls.at(&grid, &colliders, time).to_vec();
             let mut counts = [0; 2];

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::source::radiant::{CLEARANCE, STRIDE};
 use crate::thermal::Wall;
 use crate::thermal::network::Network;
 use crate::thermal::transfer::Lattice;
@@ -25,9 +26,13 @@ pub(crate) struct SurfaceMeasure {
     gradient: Vec<f32>,
     /// Dimensionless area per active node, in the network's order.
     pub(crate) area: Vec<f64>,
+    /// The same with its outward direction, where some source asks for it.
+    pub(crate) facing: Vec<[f64; 3]>,
+    window: Window,
 }
 
 /// A box of nodes around the touched ones; `shape` nodes from `lo`. Axes that wrap are taken whole.
+#[derive(Clone, Copy, Debug, Default)]
 struct Window {
     lo: [i64; 3],
     shape: [usize; 3],
@@ -119,16 +124,32 @@ fn along(window: &Window, periodic: [bool; 3], axis: usize, input: &[f32], out: 
     });
 }
 
+/// Difference of `field` across two spacings at window node `c`, per axis.
+fn slope(field: &[f32], window: &Window, lattice: &Lattice, c: [i64; 3]) -> [f32; 3] {
+    let value = |d: [i64; 3]| window.at(lattice, std::array::from_fn(|a| c[a] + d[a])).map_or(0.0, |i| field[i]);
+    [value([1, 0, 0]) - value([-1, 0, 0]), value([0, 1, 0]) - value([0, -1, 0]), value([0, 0, 1]) - value([0, 0, -1])]
+}
+
 impl SurfaceMeasure {
     /// Computes [`SurfaceMeasure::area`] for the nodes of `network`. Surface that faces a wall is not exposed and counts
-    /// as zero.
-    pub(crate) fn compute(&mut self, lattice: &Lattice, network: &Network, touched: &[[usize; 2]; 3], walls: Option<&[Wall]>) {
+    /// as zero. With `facing` the directions are kept as well.
+    pub(crate) fn compute(
+        &mut self,
+        lattice: &Lattice,
+        network: &Network,
+        touched: &[[usize; 2]; 3],
+        walls: Option<&[Wall]>,
+        facing: bool,
+    ) {
         self.area.clear();
         self.area.resize(network.len(), 0.0);
+        self.facing.clear();
+        self.facing.resize(if facing { network.len() } else { 0 }, [0.0; 3]);
         if network.len() == 0 {
             return;
         }
         let window = Window::new(lattice, touched);
+        self.window = window;
         let cells = window.shape[0] * window.shape[1] * window.shape[2];
         for buffer in [&mut self.phi, &mut self.smooth, &mut self.other, &mut self.gradient] {
             buffer.clear();
@@ -197,13 +218,60 @@ impl SurfaceMeasure {
             && let Some(slot) = network.slot_of(node)
         {
             self.area[slot] += f64::from(self.gradient[i].sqrt());
+            if let Some(facing) = self.facing.get_mut(slot) {
+                let g = slope(&self.other, window, lattice, here);
+                // Central differences over two spacings; outwards is downhill.
+                *facing = std::array::from_fn(|a| facing[a] - 0.5 * f64::from(g[a]));
+            }
         }
+    }
+
+    /// True if nothing stands between a surface at grid coordinate `x` and a light in the unit direction `toward`, `distance`
+    /// node spacings away: neither material nor an obstacle.
+    pub(crate) fn sees(&self, lattice: &Lattice, walls: Option<&[Wall]>, x: [f64; 3], toward: [f64; 3], distance: f64) -> bool {
+        let mut s = CLEARANCE;
+        while s < distance {
+            let p: [f64; 3] = std::array::from_fn(|a| x[a] + s * toward[a]);
+            let outside = |a: usize| !lattice.periodic[a] && (p[a] < 0.0 || p[a] > (lattice.nodes[a] - 1) as f64);
+            if (0..3).any(outside) || s > 4.0 * lattice.nodes.iter().sum::<usize>() as f64 {
+                return true;
+            }
+            if let Some(walls) = walls {
+                let index = (0..3).fold(0, |index, a| {
+                    let i = (p[a].round() as i64).rem_euclid(lattice.nodes[a] as i64);
+                    index * lattice.nodes[a] + i as usize
+                });
+                if walls[index] != Wall::Open {
+                    return false;
+                }
+            }
+            if self.filled(lattice, p) > 0.5 {
+                return false;
+            }
+            s += STRIDE;
+        }
+        true
+    }
+
+    /// Filled fraction between the nodes.
+    fn filled(&self, lattice: &Lattice, p: [f64; 3]) -> f32 {
+        let cell = p.map(|v| v.floor());
+        let f: [f32; 3] = std::array::from_fn(|a| (p[a] - cell[a]) as f32);
+        let base: [i64; 3] = std::array::from_fn(|a| cell[a] as i64 - self.window.lo[a]);
+        let mut sum = 0.0;
+        for n in 0..8i64 {
+            let o = [n / 4, n / 2 % 2, n % 2];
+            if let Some(i) = self.window.at(lattice, std::array::from_fn(|a| base[a] + o[a])) {
+                let w = |a: usize| if o[a] == 1 { f[a] } else { 1.0 - f[a] };
+                sum += w(0) * w(1) * w(2) * self.phi[i];
+            }
+        }
+        sum
     }
 
     /// True where the outward side of the surface near window node `c` is a wall node.
     fn faces_wall(&self, lattice: &Lattice, window: &Window, walls: &[Wall], c: [i64; 3]) -> bool {
-        let value = |d: [i64; 3]| window.at(lattice, std::array::from_fn(|a| c[a] + d[a])).map_or(0.0, |i| self.other[i]);
-        let g = [value([1, 0, 0]) - value([-1, 0, 0]), value([0, 1, 0]) - value([0, -1, 0]), value([0, 0, 1]) - value([0, 0, -1])];
+        let g = slope(&self.other, window, lattice, c);
         let norm = g.iter().map(|v| v * v).sum::<f32>().sqrt();
         if norm <= 0.0 {
             return false;

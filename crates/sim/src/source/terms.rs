@@ -1,10 +1,15 @@
 //! Sources turned into numbers per node for one coupling step (simulation.md §4.7).
 
+use megas_math::vec3;
 use rayon::prelude::*;
 
 use crate::grid::Grid;
-use crate::source::{Film, HeatSource, Region, SourceKind, SourceReport};
+use crate::schedule::Pose;
+use crate::source::surface::SurfaceMeasure;
+use crate::source::{Film, HeatSource, Radiant, Region, SourceKind, SourceReport};
+use crate::thermal::Wall;
 use crate::thermal::network::Network;
+use crate::thermal::transfer::Lattice;
 
 /// What a list of [`Term`]s does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,8 +44,10 @@ pub(crate) struct Terms {
 pub(crate) struct Context<'a> {
     pub(crate) grid: &'a Grid,
     pub(crate) network: &'a Network,
+    pub(crate) lattice: &'a Lattice,
     /// Dimensionless area per node; empty if no source asked for it.
-    pub(crate) area: &'a [f64],
+    pub(crate) surface: &'a SurfaceMeasure,
+    pub(crate) walls: Option<&'a [Wall]>,
     /// Mass share of object `id` in an active node.
     pub(crate) share: &'a (dyn Fn(u16, usize) -> f64 + Sync),
     /// Energy of a node at a temperature.
@@ -51,7 +58,17 @@ pub(crate) struct Context<'a> {
 impl HeatSource {
     /// True if the source needs the surface measure.
     pub(crate) fn needs_surface(&self) -> bool {
-        matches!(self.kind, SourceKind::Flux { .. } | SourceKind::Film(_)) || matches!(self.region, Region::Surface(_))
+        self.per_area() || matches!(self.region, Region::Surface(_))
+    }
+
+    /// True if the source needs the direction of the surface.
+    pub(crate) fn needs_facing(&self) -> bool {
+        matches!(self.kind, SourceKind::Radiant(_))
+    }
+
+    /// True for kinds that act in proportion to the surface.
+    fn per_area(&self) -> bool {
+        matches!(self.kind, SourceKind::Flux { .. } | SourceKind::Film(_) | SourceKind::Radiant(_))
     }
 }
 
@@ -75,8 +92,7 @@ impl Terms {
             self.weigh(source, cx);
             self.build(source, gain, cx);
         }
-        let surface = matches!(source.kind, SourceKind::Flux { .. } | SourceKind::Film(_));
-        self.finish(action, surface, cx);
+        self.finish(action, source.per_area(), cx);
     }
 
     /// Adds the film of the air model, on every surface.
@@ -91,7 +107,8 @@ impl Terms {
         let start = self.ranges.last().map_or(0, |r| r.0);
         let own = &self.terms[start..];
         let dx2 = cx.grid.spacing * cx.grid.spacing;
-        let area = if surface { own.iter().map(|t| self.weight[t.slot as usize] * cx.area[t.slot as usize] * dx2).sum() } else { 0.0 };
+        let area =
+            if surface { own.iter().map(|t| self.weight[t.slot as usize] * cx.surface.area[t.slot as usize] * dx2).sum() } else { 0.0 };
         self.reports.push(SourceReport { heat: 0.0, area, nodes: own.len() as u32 });
         self.ranges.push((self.terms.len(), action));
     }
@@ -99,10 +116,14 @@ impl Terms {
     /// χ per active node.
     fn weigh(&mut self, source: &HeatSource, cx: &Context) {
         let region = &source.region;
-        let pose = source.motion.at(cx.time, region.pivot());
+        let pose = match source.kind {
+            // The light moves, not what it falls on.
+            SourceKind::Radiant(_) => Pose::REST,
+            _ => source.motion.at(cx.time, region.pivot()),
+        };
         let surface = matches!(region, Region::Surface(_));
         // On a surface region the layer itself decides, unless the kind already works per area.
-        let layer = surface && !matches!(source.kind, SourceKind::Flux { .. } | SourceKind::Film(_));
+        let layer = surface && !source.per_area();
         self.weight.clear();
         self.weight.resize(cx.network.len(), 0.0);
         self.weight.par_iter_mut().enumerate().for_each(|(slot, w)| {
@@ -112,7 +133,7 @@ impl Terms {
             };
             if layer {
                 // The measure spreads over two to three nodes across the surface, half of the area at most in one.
-                *w *= (2.0 * cx.area[slot]).min(1.0);
+                *w *= (2.0 * cx.surface.area[slot]).min(1.0);
             }
         });
     }
@@ -142,16 +163,39 @@ impl Terms {
             }
             SourceKind::Flux { watts_per_m2 } => {
                 let scale = gain * value(*watts_per_m2) * dx2;
-                terms.extend(each().filter(|(s, _)| cx.area[*s] > 0.0).map(|(s, w)| term(s, scale * w * cx.area[s], 0.0)));
+                terms.extend(each().filter(|(s, _)| cx.surface.area[*s] > 0.0).map(|(s, w)| term(s, scale * w * cx.surface.area[s], 0.0)));
+            }
+            SourceKind::Radiant(radiant) => {
+                let pose = source.motion.at(cx.time, radiant.light.pivot());
+                self.shine(radiant, &pose, gain * value(radiant.strength), cx);
             }
             SourceKind::Film(film) => self.exchange(Film { ambient: value(film.ambient), ..*film }, gain, cx),
         }
     }
 
+    /// Light that reaches the surface, and the share of it that stays.
+    fn shine(&mut self, radiant: &Radiant, pose: &Pose, strength: f64, cx: &Context) {
+        let Self { terms, weight, .. } = self;
+        let light = radiant.light.placed(pose, strength);
+        let (dx, dx2) = (cx.grid.spacing, cx.grid.spacing.powi(2));
+        let lit = |slot: usize| {
+            let node = cx.network.node(slot);
+            let arriving = light.at(cx.grid.position(node))?;
+            let across = vec3::dot(cx.surface.facing[slot], arriving.toward);
+            if weight[slot] <= 0.0 || across <= 0.0 {
+                return None;
+            }
+            let seen = cx.surface.sees(cx.lattice, cx.walls, node.map(|c| c as f64), arriving.toward, arriving.distance / dx);
+            let a = radiant.absorptivity * arriving.irradiance * across * dx2 * weight[slot];
+            seen.then_some(Term { slot: slot as u32, a, b: 0.0 })
+        };
+        terms.par_extend((0..weight.len()).into_par_iter().with_min_len(256).filter_map(lit));
+    }
+
     /// Film in series with the material above the node, so that inner nodes are not cooled directly.
     fn exchange(&mut self, film: Film, gain: f64, cx: &Context) {
         let dx = cx.grid.spacing;
-        for (slot, (w, a)) in self.weight.iter().zip(cx.area).enumerate() {
+        for (slot, (w, a)) in self.weight.iter().zip(&cx.surface.area).enumerate() {
             let h = film.total_coefficient(cx.network.t[slot]);
             if *w > 0.0 && *a > 0.0 && h > 0.0 {
                 let depth = 2.0 * dx * (cx.network.phi[slot] - 0.5).max(0.0);

@@ -3,9 +3,10 @@
 use rayon::prelude::*;
 
 use crate::material::{Material, Table};
-use crate::thermal::Wall;
 use crate::thermal::enthalpy::{EnthalpyCurve, MixtureCurve};
+use crate::thermal::solids::Solids;
 use crate::thermal::transfer::Lattice;
+use crate::thermal::{Bath, Wall};
 
 /// Marks a node of the grid that is not in the network.
 const ABSENT: u32 = u32::MAX;
@@ -139,22 +140,22 @@ impl Composition {
     }
 }
 
-/// A link to a wall of fixed temperature.
+/// A link to a wall that gives and takes heat.
 #[derive(Clone, Copy, Debug)]
 struct WallLink {
     slot: u32,
     conductance: f64,
-    t: f64,
+    bath: Bath,
 }
 
-/// A node inside a wall of fixed temperature that holds the rim of a body touching the wall. The rim lies on average an
+/// A node inside a wall that gives and takes heat, which holds the rim of a body touching the wall. The rim lies on average an
 /// eighth of a cell from the face; setting it to the wall's temperature outright would heat it, and the points that make it
 /// up, by as much per step whatever the step.
 #[derive(Clone, Copy, Debug)]
 struct Rim {
     slot: u32,
     conductance: f64,
-    t: f64,
+    bath: Bath,
 }
 
 /// Compact arrays over the nodes that hold material, in memory order of the grid.
@@ -244,7 +245,15 @@ impl Network {
     }
 
     /// Temperatures, capacities and conductivities from the energies, then the links.
-    pub(crate) fn prepare(&mut self, media: &[Medium], mix: &Composition, lattice: &Lattice, spacing: f64, walls: Option<&[Wall]>) {
+    pub(crate) fn prepare(
+        &mut self,
+        media: &[Medium],
+        mix: &Composition,
+        lattice: &Lattice,
+        spacing: f64,
+        walls: Option<&[Wall]>,
+        solids: &Solids,
+    ) {
         let n = self.len();
         self.e.clear();
         self.e.extend_from_slice(&self.e0);
@@ -267,7 +276,7 @@ impl Network {
         });
         (self.links, self.neighbours) = (links, neighbours);
         if let Some(walls) = walls {
-            self.join_walls(lattice, spacing, walls);
+            self.join_walls(lattice, spacing, walls, solids);
         }
     }
 
@@ -277,7 +286,7 @@ impl Network {
         let other = self.index(lattice.neighbour(self.node(s), l / 2, l % 2 == 1)?);
         let o = self.slot_of_index(other)?;
         if let Some(walls) = walls
-            && (walls[other].fixed().is_some() || walls[self.dense[s] as usize].fixed().is_some())
+            && (walls[other].bath().is_some() || walls[self.dense[s] as usize].bath().is_some())
         {
             return None;
         }
@@ -287,27 +296,36 @@ impl Network {
         Some((o as u32, spacing * filled * (2.0 * a * b) / (a + b)))
     }
 
-    /// Collects the nodes inside walls of fixed temperature and the links to such walls, half a cell away.
-    fn join_walls(&mut self, lattice: &Lattice, spacing: f64, walls: &[Wall]) {
+    /// Collects the nodes inside walls that give and take heat, and the links to such walls, half a cell away.
+    fn join_walls(&mut self, lattice: &Lattice, spacing: f64, walls: &[Wall], solids: &Solids) {
         for s in 0..self.len() {
-            if let Some(t) = walls[self.dense[s] as usize].fixed() {
+            if let Some(bath) = walls[self.dense[s] as usize].bath() {
                 let conductance = RIM * self.k[s] * spacing * self.phi[s].min(1.0);
-                self.rims.push(Rim { slot: s as u32, conductance, t });
+                self.rims.push(Rim { slot: s as u32, conductance, bath });
                 continue;
             }
             let node = self.node(s);
             for l in 0..6 {
                 let Some(n) = lattice.neighbour(node, l / 2, l % 2 == 1) else { continue };
-                if let Some(t) = walls[self.index(n)].fixed() {
-                    let conductance = 2.0 * self.k[s] * spacing * section(self.phi[s]);
-                    self.walls.push(WallLink { slot: s as u32, conductance, t });
+                if let Some(bath) = walls[self.index(n)].bath() {
+                    let filled = section(self.phi[s]);
+                    let near = 2.0 * self.k[s] * spacing * filled;
+                    let conductance = match bath {
+                        Bath::Fixed(_) => near,
+                        // In series with half a cell of the solid.
+                        Bath::Cell(c) => {
+                            let far = 2.0 * solids.k[c as usize] * spacing * filled;
+                            near * far / (near + far)
+                        }
+                    };
+                    self.walls.push(WallLink { slot: s as u32, conductance, bath });
                 }
             }
         }
     }
 
     /// Number of equal parts of `dt` for which every node keeps `Σ G Δt ≤ C`.
-    pub(crate) fn subcycles(&self, dt: f64) -> u32 {
+    pub(crate) fn subcycles(&self, dt: f64, solids: &Solids) -> u32 {
         // Wall links of one node follow each other.
         let mut wall = 0.0f64;
         let mut total = (u32::MAX, 0.0);
@@ -318,6 +336,16 @@ impl Network {
             }
             total.1 += w.conductance;
             wall = wall.max(total.1 / self.capacity[s]);
+        }
+        if !solids.is_empty() {
+            let mut outside = vec![0.0; solids.len()];
+            let links = self.walls.iter().map(|w| (w.bath, w.conductance));
+            for (bath, conductance) in links.chain(self.rims.iter().map(|r| (r.bath, r.conductance))) {
+                if let Bath::Cell(c) = bath {
+                    outside[c as usize] += conductance;
+                }
+            }
+            wall = wall.max(solids.rate(&outside));
         }
         let rate = self
             .links
@@ -331,14 +359,26 @@ impl Network {
         (rate * dt * (1.0 - 1e-9)).ceil().clamp(1.0, f64::from(u32::MAX)) as u32
     }
 
-    /// Moves heat along all links for `dt` seconds; returns the heat that came in from walls \[J\].
-    pub(crate) fn conduct(&mut self, dt: f64) -> f64 {
+    /// Moves heat along all links for `dt` seconds; returns the heat \[J\] that came in from walls of fixed temperature and
+    /// from conducting obstacles.
+    pub(crate) fn conduct(&mut self, dt: f64, solids: &mut Solids) -> [f64; 2] {
         let Self { e, t, links, neighbours, walls, rims, capacity, .. } = self;
-        let mut from_walls = 0.0;
+        let mut heat = [0.0; 2];
+        let mut book = |bath: Bath, q: f64, solids: &mut Solids| match bath {
+            Bath::Fixed(_) => heat[0] += q,
+            Bath::Cell(c) => {
+                heat[1] += q;
+                solids.gain(c, -q);
+            }
+        };
         for w in walls.iter() {
-            let q = w.conductance * dt * (w.t - t[w.slot as usize]);
+            let behind = match w.bath {
+                Bath::Fixed(t) => t,
+                Bath::Cell(c) => solids.t[c as usize],
+            };
+            let q = w.conductance * dt * (behind - t[w.slot as usize]);
             e[w.slot as usize] += q;
-            from_walls += q;
+            book(w.bath, q, solids);
         }
         let t = &*t;
         e.par_iter_mut().zip(links.par_iter()).zip(neighbours.par_iter()).with_min_len(CHUNK).enumerate().for_each(|(s, ((e, g), nb))| {
@@ -351,11 +391,16 @@ impl Network {
         for r in rims.iter() {
             let s = r.slot as usize;
             // Semi-implicit: stable for any step.
-            let q = r.conductance * dt * (r.t - t[s]) / (1.0 + r.conductance * dt / capacity[s]);
+            let (behind, inverse) = match r.bath {
+                Bath::Fixed(t) => (t, 0.0),
+                Bath::Cell(c) => (solids.t[c as usize], solids.capacity[c as usize].recip()),
+            };
+            let g = r.conductance * dt;
+            let q = g * (behind - t[s]) / (1.0 + g * (capacity[s].recip() + inverse));
             e[s] += q;
-            from_walls += q;
+            book(r.bath, q, solids);
         }
-        from_walls
+        heat
     }
 
     /// Temperatures from the energies.

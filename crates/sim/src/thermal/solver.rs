@@ -8,6 +8,7 @@ use crate::source::surface::SurfaceMeasure;
 use crate::source::terms::{Context, Terms};
 use crate::source::{HeatSource, SourceReport};
 use crate::thermal::network::{Composition, Kind, Medium, Network};
+use crate::thermal::solids::Solids;
 use crate::thermal::transfer::{CHUNK, Lattice, Slabs, fixed_sum};
 use crate::thermal::{AirModel, Audit, ThermalError, ThermalOptions, ThermalPoints, Transfer, Wall};
 
@@ -45,6 +46,7 @@ pub struct ThermalSolver {
     mix: Composition,
     surface: SurfaceMeasure,
     terms: Terms,
+    solids: Solids,
     /// Per node: energy, mass, volume, relaxation.
     nodes: Vec<[f64; 4]>,
     /// Per node, only where needed: mass by material used, then by body named in a source.
@@ -72,6 +74,7 @@ impl ThermalSolver {
             mix: Composition::default(),
             surface: SurfaceMeasure::default(),
             terms: Terms::default(),
+            solids: Solids::default(),
             nodes: vec![[0.0; 4]; grid.len()],
             channels: Vec::new(),
             stride: 0,
@@ -81,6 +84,21 @@ impl ThermalSolver {
             relax: Vec::new(),
             partial: Vec::new(),
         }
+    }
+
+    /// Obstacles that store and conduct heat; [`Wall::Conducting`] names their cells.
+    pub fn set_solids(&mut self, solids: Solids) {
+        self.solids = solids;
+    }
+
+    /// The conducting obstacles with their temperatures.
+    pub fn solids(&self) -> &Solids {
+        &self.solids
+    }
+
+    /// As [`ThermalSolver::solids`], to continue from kept temperatures.
+    pub fn solids_mut(&mut self) -> &mut Solids {
+        &mut self.solids
     }
 
     /// Temperature \[K\] of `material` at specific enthalpy `h` \[J/kg\].
@@ -140,17 +158,18 @@ impl ThermalSolver {
         self.scatter(points);
         self.scatter_channels(points, sources);
         self.collect();
-        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls);
+        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls, &self.solids);
 
         let subcycles = self.subcycles(dt)?;
         if let Transfer::Increments { relaxation } = self.options.transfer {
             self.relax_points(points, relaxation, dt);
         }
         let before = self.point_energy(points);
-        let wall = self.advance(dt, subcycles, time, sources, walls);
+        let stored = self.solids.energy();
+        let walls = self.advance(dt, subcycles, time, sources, walls);
         self.gather(points);
         let after = self.point_energy(points);
-        Ok(self.audit(before, after, wall, subcycles))
+        Ok(self.audit(before, after, walls, self.solids.energy() - stored - self.solids.power() * dt, subcycles))
     }
 
     /// Conduction and sources for material at rest on the nodes, without points.
@@ -177,15 +196,16 @@ impl ThermalSolver {
             }
         }
         self.single_body = Some(0);
-        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls);
+        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls, &self.solids);
         let subcycles = self.subcycles(dt)?;
         let before = self.network.e.iter().sum();
-        let wall = self.advance(dt, subcycles, time, sources, walls);
+        let stored = self.solids.energy();
+        let walls = self.advance(dt, subcycles, time, sources, walls);
         let after = self.network.e.iter().sum();
         for (i, e) in self.network.dense.iter().zip(&self.network.e) {
             fields.energy[*i as usize] = *e;
         }
-        Ok(self.audit(before, after, wall, subcycles))
+        Ok(self.audit(before, after, walls, self.solids.energy() - stored - self.solids.power() * dt, subcycles))
     }
 
     fn check(&self, points: &ThermalPoints, walls: Option<&[Wall]>) -> Result<[bool; 256], ThermalError> {
@@ -309,7 +329,7 @@ impl ThermalSolver {
     }
 
     fn subcycles(&self, dt: f64) -> Result<u32, ThermalError> {
-        let (needed, allowed) = (self.network.subcycles(dt), self.options.max_subcycles);
+        let (needed, allowed) = (self.network.subcycles(dt, &self.solids), self.options.max_subcycles);
         if needed > allowed { Err(ThermalError::TooFast { dt, needed, allowed }) } else { Ok(needed) }
     }
 
@@ -345,17 +365,18 @@ impl ThermalSolver {
         });
     }
 
-    /// Sources and conduction; returns the heat from walls.
-    fn advance(&mut self, dt: f64, subcycles: u32, time: f64, sources: &[HeatSource], walls: Option<&[Wall]>) -> f64 {
+    /// Sources and conduction; returns the heat from walls of fixed temperature and from conducting obstacles.
+    fn advance(&mut self, dt: f64, subcycles: u32, time: f64, sources: &[HeatSource], walls: Option<&[Wall]>) -> [f64; 2] {
         let film = match self.options.air {
             AirModel::Film(film) => Some(film),
             AirModel::None => None,
         };
         self.surface.area.clear();
         if film.is_some() || sources.iter().any(|s| s.needs_surface()) {
-            self.surface.compute(&self.lattice, &self.network, &self.slabs.touched, walls);
+            let facing = sources.iter().any(|s| s.needs_facing());
+            self.surface.compute(&self.lattice, &self.network, &self.slabs.touched, walls, facing);
         }
-        let Self { network, media, mix, terms, surface, grid, nodes, channels, stride, bodies, single_body, .. } = self;
+        let Self { network, media, mix, terms, surface, grid, nodes, channels, stride, bodies, single_body, solids, lattice, .. } = self;
         terms.clear();
         {
             let share = |id: u16, slot: usize| match (*single_body, bodies.binary_search(&id)) {
@@ -367,7 +388,7 @@ impl ThermalSolver {
                 (None, Err(_)) => 0.0,
             };
             let energy_at = |slot: usize, t: f64| network.energy_at(media, mix, slot, t);
-            let cx = Context { grid, network, area: &surface.area, share: &share, energy_at: &energy_at, time };
+            let cx = Context { grid, network, lattice, surface, walls, share: &share, energy_at: &energy_at, time };
             for source in sources {
                 terms.add(source, &cx);
             }
@@ -376,13 +397,15 @@ impl ThermalSolver {
             }
         }
         let part = dt / f64::from(subcycles);
-        let mut from_walls = 0.0;
+        let mut from_walls = [0.0; 2];
         for _ in 0..subcycles {
             if !terms.is_empty() {
                 terms.apply(network, part);
                 network.update_temperatures(media, mix);
             }
-            from_walls += network.conduct(part);
+            let [fixed, conducting] = network.conduct(part, solids);
+            from_walls = [from_walls[0] + fixed, from_walls[1] + conducting];
+            solids.advance(part);
             network.update_temperatures(media, mix);
         }
         from_walls
@@ -450,7 +473,7 @@ impl ThermalSolver {
         fixed_sum(points.h.len(), &mut self.partial, |p| if points.mass[p] > 0.0 { f64::from(points.mass[p]) * points.h[p] } else { 0.0 })
     }
 
-    fn audit(&self, before: f64, after: f64, wall: f64, subcycles: u32) -> Audit {
+    fn audit(&self, before: f64, after: f64, [wall, solid]: [f64; 2], stored: f64, subcycles: u32) -> Audit {
         let [source, dirichlet, film] = self.terms.totals();
         Audit {
             before,
@@ -459,7 +482,8 @@ impl ThermalSolver {
             dirichlet,
             film,
             wall,
-            residual: after - before - (source + dirichlet + film + wall),
+            solid,
+            residual: after - before - (source + dirichlet + film + wall + solid) + stored + solid,
             surface: self.surface.area.iter().sum::<f64>() * self.grid.spacing.powi(2),
             subcycles,
             skipped: self.slabs.skipped as u32,

@@ -28,6 +28,17 @@ impl Cloud {
         self.grad_t.push([0.0; 3]);
     }
 
+    /// Adds the points of another cloud as body `object`.
+    pub fn append(&mut self, other: &Self, object: u16) {
+        self.xi.extend(&other.xi);
+        self.mass.extend(&other.mass);
+        self.volume.extend(&other.volume);
+        self.material.extend(&other.material);
+        self.object.resize(self.xi.len(), object);
+        self.h.extend(&other.h);
+        self.grad_t.extend(&other.grad_t);
+    }
+
     /// One step of the solver; an error ends the case.
     pub fn step(&mut self, solver: &mut ThermalSolver, dt: f64, time: f64, sources: &[HeatSource], walls: Option<&[Wall]>) -> Audit {
         let mut points = ThermalPoints {

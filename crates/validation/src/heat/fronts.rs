@@ -138,6 +138,62 @@ pub fn stefan_points() -> Outcome {
     })
 }
 
+/// Water and ice: c_l, k_l, c_s, k_s in SI.
+const WATER: [f64; 4] = [4186.0, 0.58, 2100.0, 2.2];
+
+/// V13: the two-phase Neumann problem in SI.
+pub fn ice() -> Outcome {
+    let [c_l, k_l, c_s, k_s] = WATER;
+    let material = Material {
+        heat_capacity_liquid: c_l,
+        conductivity_liquid: k_l,
+        latent_heat: 334e3,
+        solidus: 273.15,
+        liquidus: 273.15,
+        ..simple(1000.0, c_s, k_s)
+    };
+    let (a_l, a_s) = (k_l / (1000.0 * c_l), k_s / (1000.0 * c_s));
+    let cases = [(20.0, -10.0, 0.29349, 2.185e-3), (20.0, 0.0, 0.34050, 2.535e-3), (60.0, -10.0, 0.50600, 3.767e-3)];
+    let mut rows = Vec::new();
+    let mut plot = Plot::new("melting front", "time / s", "thickness of the melt / mm");
+    for (wall, start, lambda, end) in cases {
+        let (spacing, cells) = (0.25e-3, 80usize);
+        let n = cells + 1;
+        let grid = Grid { origin: [0.0; 3], spacing, nodes: [n, 1, 1] };
+        let mut solver = ThermalSolver::new(grid, std::slice::from_ref(&material), 273.15, ThermalOptions::default());
+        let volume = vec![spacing.powi(3); n];
+        let mut mass: Vec<f64> = volume.iter().map(|v| 1000.0 * v).collect();
+        mass[0] = 0.0;
+        let mut energy: Vec<f64> = mass.iter().map(|m| m * c_s * start).collect();
+        let mut walls = vec![Wall::Open; n];
+        walls[0] = Wall::Fixed((273.15 + wall) as f32);
+        let kind = vec![0; n];
+        let dt = 5e-3;
+        let (mut ours, mut last) = (Vec::new(), 0.0);
+        for step in 0..20_000u32 {
+            let mut fields = NodeFields { mass: &mass, volume: &volume, material: &kind, energy: &mut energy };
+            alone(|| solver.step_nodes(&mut fields, dt, 0.0, &[], Some(&walls))).unwrap_or_else(|e| panic!("{e}"));
+            if (step + 1) % 500 == 0 {
+                let melted = energy.iter().zip(&mass).skip(1).map(|(e, m)| solver.liquid_fraction(0, e / m)).sum::<f64>();
+                last = melted * spacing;
+                ours.push([f64::from(step + 1) * dt, 1e3 * last]);
+            }
+        }
+        let label = format!("wall {wall} °C, ice {start} °C");
+        rows.push(Row::relative(format!("melt after 100 s, {label} [mm]"), 1e3 * end, 1e3 * last, 0.015));
+        // The temperature where the front is not: half way through the melt.
+        let x = 0.5 * end;
+        let exact = wall * (1.0 - erf(x / (2.0 * (a_l * 100.0).sqrt())) / erf(lambda));
+        let at = x / spacing + 0.5;
+        let t = |i: usize| solver.temperature(0, energy[i] / mass[i]) - 273.15;
+        let got = t(at as usize) + (at - at.floor()) * (t(at as usize + 1) - t(at as usize));
+        rows.push(Row::new(format!("half way through the melt, {label} [°C]"), exact, got, 0.015 * wall));
+        plot = plot.function(format!("Neumann, {label}"), 0.0, 100.0, |t| 2e3 * lambda * (a_l * t).sqrt()).ours(label, ours);
+    }
+    let note = format!("α of water {a_l:.3e}, of ice {a_s:.3e} m²/s.");
+    Outcome::from(rows).plot(plot).note(note)
+}
+
 /// Front position from which the error counts \[cells\].
 const START_UP: f64 = 4.0;
 

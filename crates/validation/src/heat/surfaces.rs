@@ -11,7 +11,7 @@ use crate::{Outcome, Plot, Row};
 
 /// Jittered points, 2 per cell and axis, inside a shape of `volume` cells that `inside` describes around the centre of the
 /// grid, turned by `turn`. Unit spacing.
-fn shape(grid: &Grid, volume: f64, turn: [f64; 4], density: f64, h: f64, inside: impl Fn(Vec3<f64>) -> bool) -> Cloud {
+pub(super) fn shape(grid: &Grid, volume: f64, turn: [f64; 4], density: f64, h: f64, inside: impl Fn(Vec3<f64>) -> bool) -> Cloud {
     let mut rng = Rng::new(5);
     let r = quat::to_mat3(turn);
     let mut cloud = Cloud::default();
