@@ -60,7 +60,7 @@ fn wrong_types_and_ranges_say_what_is_allowed() {
 fn tables_that_repeat_and_regions_that_choose() {
     only("[heat]\nkind = \"power\"", "s.toml:2:2: write [[heat]] with two brackets instead of [heat]: there may be several");
     let both = "[[heat]]\nregion = { object = \"all\", surface = \"all\" }";
-    let names = "sphere, box, cylinder, capsule, half_space, object, surface";
+    let names = "sphere, box, cylinder, capsule, half_space, mesh, object, surface";
     only(both, &format!("s.toml:3:1: heat.region: write exactly one of: {names}"));
     only("[[heat]]\nregion = \"all\"", &format!("s.toml:3:1: heat.region = \"all\": expected a table with one of: {names}"));
 }
