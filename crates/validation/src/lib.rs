@@ -4,12 +4,17 @@
 
 pub mod air;
 pub mod coupled;
+pub mod elastic;
 mod figure;
+pub mod flows;
 pub mod heat;
 pub mod mechanics;
+pub mod melting;
 pub mod outcome;
 pub mod page;
 pub mod run;
+pub mod slumps;
+pub mod splats;
 mod text;
 pub mod transfers;
 
@@ -83,7 +88,19 @@ impl Case {
 
 /// Every case, by id.
 pub fn cases() -> Vec<Case> {
-    let mut all: Vec<Case> = [transfers::CASES, air::CASES, heat::CASES, mechanics::CASES, coupled::CASES].concat();
+    let mut all: Vec<Case> = [
+        transfers::CASES,
+        air::CASES,
+        heat::CASES,
+        mechanics::CASES,
+        elastic::CASES,
+        flows::CASES,
+        slumps::CASES,
+        coupled::CASES,
+        melting::CASES,
+        splats::CASES,
+    ]
+    .concat();
     all.sort_by_key(|c| c.id);
     all
 }

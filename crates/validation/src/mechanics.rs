@@ -44,11 +44,11 @@ pub const CASES: &[Case] = &[
         .formula("equal hashes of the state"),
 ];
 
-const GRAVITY: f64 = 9.81;
+pub(crate) const GRAVITY: f64 = 9.81;
 
 /// Points on a regular lattice of half the node spacing that fills the box `min`..`max`, at rest, with the given density
 /// and moduli.
-fn block(grid: &Grid, min: [f64; 3], max: [f64; 3], density: f64, shear: f64, bulk: f64) -> Particles {
+pub(crate) fn block(grid: &Grid, min: [f64; 3], max: [f64; 3], density: f64, shear: f64, bulk: f64) -> Particles {
     let h = 0.5 * grid.spacing;
     let count: [usize; 3] = std::array::from_fn(|a| ((max[a] - min[a]) / h).round() as usize);
     let mut p = Particles::blank(grid, count.iter().product());
@@ -72,7 +72,7 @@ fn block(grid: &Grid, min: [f64; 3], max: [f64; 3], density: f64, shear: f64, bu
 }
 
 /// Shear and bulk modulus.
-fn moduli(e: f64, nu: f64) -> (f64, f64) {
+pub(crate) fn moduli(e: f64, nu: f64) -> (f64, f64) {
     megas_sim::material::Material::moduli(e, nu)
 }
 
@@ -266,7 +266,7 @@ fn flow_curves() -> Plot {
 }
 
 /// Length and height of the deposit of a half block 0.1 m × 0.1 m with yield stress `tau_0`, after `seconds`, and its contour.
-fn slump(dx: f64, tau_0: f64, seconds: f64) -> (f64, f64, Vec<[f64; 2]>) {
+pub(crate) fn slump(dx: f64, tau_0: f64, seconds: f64) -> (f64, f64, Vec<[f64; 2]>) {
     // A slab two cells thick between slip walls; the padding layers are the walls, node 2 is the first free plane.
     let (length, thickness) = (0.46, 2.0 * dx);
     let nodes = [(length / dx) as usize + 6, 8, (0.14 / dx) as usize + 6];

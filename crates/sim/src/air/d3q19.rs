@@ -111,7 +111,8 @@ pub(crate) fn collide<S: Simd>(
     let dot = |a: &[Lanes<S>; 3], b: &[Lanes<S>; 3]| a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]));
     let base = rho - dot(&m, &u) * 1.5;
     let cu = along::<S>(u);
-    let (plus, minus, eddy) = if rates.has_eddies() { strained(s, f, rates, base, &cu, along::<S>(m)) } else { (c(rates.plus), c(rates.minus), c(0.0)) };
+    let (plus, minus, eddy) =
+        if rates.has_eddies() { strained(s, f, rates, base, &cu, along::<S>(m)) } else { (c(rates.plus), c(rates.minus), c(0.0)) };
     let half_plus = plus * -0.5 + 1.0;
     let half_minus = minus * -0.5 + 1.0;
     // Even: w [A + (c·u)(c·G)]; odd: w c·H.

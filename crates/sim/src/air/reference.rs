@@ -131,8 +131,7 @@ impl Reference {
         let v = state.velocity.map(f64::from);
         let force = force.map(|x| x * (1.0 - share));
         let rho: f64 = f.iter().sum();
-        let mut u: [f64; 3] =
-            std::array::from_fn(|a| ((0..Q19).map(|k| f64::from(C[k][a]) * f[k]).sum::<f64>() + 0.5 * force[a]) / rho);
+        let mut u: [f64; 3] = std::array::from_fn(|a| ((0..Q19).map(|k| f64::from(C[k][a]) * f[k]).sum::<f64>() + 0.5 * force[a]) / rho);
         let speed = u.iter().map(|x| x * x).sum::<f64>().sqrt();
         if speed > SPEED_CAP {
             u = u.map(|x| x * SPEED_CAP / speed);

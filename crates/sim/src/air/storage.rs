@@ -73,21 +73,13 @@ impl Layout {
     /// Slot from which the next step (odd or even) takes the population that arrives at `n` along `k`.
     #[inline(always)]
     pub(crate) fn arriving(&self, q: usize, odd: bool, k: usize, n: [isize; 3]) -> usize {
-        if odd {
-            self.slot(q, opposite(k), std::array::from_fn(|a| n[a] - self.moves[k][a]))
-        } else {
-            self.slot(q, k, n)
-        }
+        if odd { self.slot(q, opposite(k), std::array::from_fn(|a| n[a] - self.moves[k][a])) } else { self.slot(q, k, n) }
     }
 
     /// Slot in which the step before (with the next one odd or even) left what departs from `n` along `k`.
     #[inline(always)]
     pub(crate) fn departed(&self, q: usize, odd: bool, k: usize, n: [isize; 3]) -> usize {
-        if odd {
-            self.slot(q, opposite(k), n)
-        } else {
-            self.slot(q, k, std::array::from_fn(|a| n[a] + self.moves[k][a]))
-        }
+        if odd { self.slot(q, opposite(k), n) } else { self.slot(q, k, std::array::from_fn(|a| n[a] + self.moves[k][a])) }
     }
 
     /// Chunks of vectors per row.

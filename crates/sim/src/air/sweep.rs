@@ -119,14 +119,8 @@ impl<S: Simd> Watch<S> {
         let all = |v: &Lanes<S>, f: fn(f32, f32) -> f32, start: f32| v.as_slice().iter().fold(start, |a, b| f(a, *b));
         Seen {
             speed2: all(&self.speed2, f32::max, 0.0),
-            density: [
-                1.0 + all(&self.density[0], f32::min, f32::INFINITY),
-                1.0 + all(&self.density[1], f32::max, f32::NEG_INFINITY),
-            ],
-            temperature: [
-                all(&self.temperature[0], f32::min, f32::INFINITY),
-                all(&self.temperature[1], f32::max, f32::NEG_INFINITY),
-            ],
+            density: [1.0 + all(&self.density[0], f32::min, f32::INFINITY), 1.0 + all(&self.density[1], f32::max, f32::NEG_INFINITY)],
+            temperature: [all(&self.temperature[0], f32::min, f32::INFINITY), all(&self.temperature[1], f32::max, f32::NEG_INFINITY)],
             capped: all(&self.capped, |a, b| a + b, 0.0) as u32,
             sponge: self.sponge.as_slice().iter().map(|v| f64::from(*v)).sum(),
         }

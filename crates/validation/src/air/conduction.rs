@@ -168,7 +168,8 @@ pub fn two_layers() -> Outcome {
             let y = z as f64 + 0.5;
             if z < 16 { 1.0 - q * y / 0.01 } else { q * (32.0 - y) / k2 }
         };
-        let mut slow = Reference::new(LatticeSettings { faces: walls(1.0, 0.0), lambda_heat: Some(LAMBDA_MATERIAL), ..heat_only([1, 1, 32], 0.01) });
+        let mut slow =
+            Reference::new(LatticeSettings { faces: walls(1.0, 0.0), lambda_heat: Some(LAMBDA_MATERIAL), ..heat_only([1, 1, 32], 0.01) });
         slow.media = (0..32).map(media).collect();
         slow.fill(|n| (1.0, [0.0; 3], exact(n[2])));
         for _ in 0..40_000 {

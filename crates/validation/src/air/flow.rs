@@ -102,7 +102,9 @@ pub fn taylor_green() -> Outcome {
         rows.push(Row::relative(format!("N = {n}: E/E₀ at 4νk²t = {t:.4}"), (-t).exp(), e, if n == 32 { 0.012 } else { 0.003 }));
         plot = plot.ours(format!("N = {n}"), history);
     }
-    Outcome::from(rows).plot(plot).note(format!("relative errors at N = 32, 64, 128: {:.1e}, {:.1e}, {:.1e}", errors[0], errors[1], errors[2]))
+    Outcome::from(rows)
+        .plot(plot)
+        .note(format!("relative errors at N = 32, 64, 128: {:.1e}, {:.1e}, {:.1e}", errors[0], errors[1], errors[2]))
 }
 
 /// Value at `x` of samples at (i + ½)/n, by cubic interpolation.
@@ -142,8 +144,15 @@ pub fn lid_driven() -> Outcome {
         let h = N / 2;
         ((0..N).map(|z| mean([h - 1, 0, z], [h, 0, z], 0)).collect(), (0..N).map(|x| mean([x, 0, h - 1], [x, 0, h], 2)).collect())
     });
-    let ghia_u =
-        [(0.1719, -0.10150), (0.2813, -0.15662), (0.4531, -0.21090), (0.5, -0.20581), (0.7344, 0.00332), (0.8516, 0.23151), (0.9531, 0.68717)];
+    let ghia_u = [
+        (0.1719, -0.10150),
+        (0.2813, -0.15662),
+        (0.4531, -0.21090),
+        (0.5, -0.20581),
+        (0.7344, 0.00332),
+        (0.8516, 0.23151),
+        (0.9531, 0.68717),
+    ];
     let ghia_v = [(0.1563, 0.16077), (0.2344, 0.17527), (0.5, 0.05454), (0.8047, -0.24533), (0.8594, -0.22445)];
     let mut rows = Vec::new();
     for (y, r) in ghia_u {

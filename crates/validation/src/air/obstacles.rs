@@ -148,5 +148,7 @@ pub fn plume() -> Outcome {
     let plot = Plot::new("On the axis of the plume", "height [nodes]", "T, u_{z}/max")
         .ours("T", (0..SIZE[2]).map(|z| [z as f64, axis(z)]).collect())
         .ours("u_{z}", (0..SIZE[2]).map(|z| [z as f64, up(z)]).collect());
-    Outcome::from(rows).plot(plot).note(format!("largest rise {scale_u:.4} nodes per step; {wall:.1} in, {:.1} out, {gained:.1} stored", -open))
+    Outcome::from(rows)
+        .plot(plot)
+        .note(format!("largest rise {scale_u:.4} nodes per step; {wall:.1} in, {:.1} out, {gained:.1} stored", -open))
 }

@@ -41,7 +41,8 @@ pub(crate) fn advance<S: Simd>(
 #[inline(always)]
 pub(crate) fn respond<S: Simd>(s: S, h: &Mat3s<S>, rate: &Mat3s<S>, law: &Parameters<S>, fluid: Mask<S>, out: &mut Response<S>) {
     let c = |v| Lanes::<S>::splat(s, v);
-    let change = fluid.select(h[0][0], c(0.0));
+    // A start may be anything; from the first step on `advance` keeps J in its range.
+    let change = fluid.select(h[0][0], c(0.0)).max(c(MIN_FLUID_J - 1.0));
     let j = change + 1.0;
     let linear = law.exponent.simd_eq(c(-1.0)) | !fluid;
     // τ = −J p. Written with exp_m1 and ln_1p, so that nearly uncompressed water keeps its digits.
