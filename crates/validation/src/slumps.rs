@@ -17,7 +17,7 @@ pub const CASES: &[Case] = &[
         .formula("R = (225 ρgV²/(128 π² τ_{0}))^{1/5}, height √(2τ_{0}R/ρg) (Roussel & Coussot 2005); R ∝ τ_{0}^{−1/5}"),
     Case::new("V36", "slump of a cylinder", Tier::C, slump_test)
         .proves("the yield stress where it is high: how much of a body stays standing")
-        .setup("H = D = 0.1 m on a sticky floor, yield stresses τ* = τ_{0}/ρgH of 0.05–0.2 and 0.6, κ = 50 Pa s, gravity grows over a second, Δx = 6.25 mm")
+        .setup("H = D = 0.1 m on a sticky floor, yield stresses τ* = τ_{0}/ρgH of 0.05–0.2 and 0.6, κ = 20 Pa s, gravity grows over a second, Δx = 6.25 mm")
         .formula("slump/H = 1 − aτ*(1 − ln aτ*), between a = √3 (von Mises) and a = 2 (Tresca) (Pashias et al. 1996)"),
     Case::new("V38", "collapse of a sand column", Tier::C, sand)
         .proves("Drucker–Prager friction and its volume correction")
@@ -143,8 +143,8 @@ fn slump_test() -> Outcome {
     let mut measured = Vec::new();
     for t in [0.05, 0.1, 0.15, 0.2, 0.6] {
         let mut q = Quarter::new(6.25e-3, 0.05, height, 0.16, 1000.0, 3e4, 1e5);
-        q.bingham(t * 1000.0 * GRAVITY * height, 50.0);
-        q.release(1.0, 2.0);
+        q.bingham(t * 1000.0 * GRAVITY * height, 20.0);
+        q.release(1.0, 4.0);
         let slump = 1.0 - q.top() / height;
         measured.push([t, slump]);
         if t < 0.5 {
@@ -159,7 +159,9 @@ fn slump_test() -> Outcome {
         .function("von Mises", 0.02, 0.6, move |t| theory(3f64.sqrt(), t))
         .function("Tresca", 0.02, 0.6, move |t| theory(2.0, t))
         .ours("ours", measured);
-    Outcome::from(rows).plot(plot)
+    Outcome::from(rows).plot(plot).note(
+        "At τ* = 0.05 the cylinder is still creeping after the four seconds of the run (0.528 after two at κ = 50 Pa s): the theory knows no viscosity.",
+    )
 }
 
 fn sand() -> Outcome {
@@ -191,5 +193,8 @@ fn sand() -> Outcome {
             .reference(format!("column, a = {aspect}"), vec![[0.0, height], [r_0, height], [r_0, 0.0]])
             .ours(format!("a = {aspect}"), contour);
     }
-    Outcome::from(rows).plot(plot)
+    Outcome::from(rows).plot(plot).note(
+        "The run-out is that of 99 % of the sand; in a cone its edge lies 6 % further out, which accounts for a part of what is missing. \
+         Five millimetre cells are a third of the depth of the front, and the sticky floor holds the lowest one.",
+    )
 }
