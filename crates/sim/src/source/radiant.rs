@@ -7,7 +7,8 @@ use megas_math::{Vec3, vec3};
 use crate::schedule::Pose;
 use crate::source::Light;
 
-/// Node spacings between the surface and the first place that can shade it: the measure of the surface is that wide.
+/// Height above a surface node from which the light must be seen \[node spacings\]: the node lies up to one and a half of them
+/// inside, and a surface does not shade itself.
 pub(crate) const CLEARANCE: f64 = 2.0;
 /// Steps of the march towards the light \[node spacings\].
 pub(crate) const STRIDE: f64 = 0.5;

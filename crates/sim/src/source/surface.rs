@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::source::radiant::{CLEARANCE, STRIDE};
+use crate::source::radiant::STRIDE;
 use crate::thermal::Wall;
 use crate::thermal::network::Network;
 use crate::thermal::transfer::Lattice;
@@ -226,10 +226,10 @@ impl SurfaceMeasure {
         }
     }
 
-    /// True if nothing stands between a surface at grid coordinate `x` and a light in the unit direction `toward`, `distance`
-    /// node spacings away: neither material nor an obstacle.
+    /// True if nothing stands between a place above a surface at grid coordinate `x` and a light in the unit direction `toward`,
+    /// `distance` node spacings away: neither material nor an obstacle.
     pub(crate) fn sees(&self, lattice: &Lattice, walls: Option<&[Wall]>, x: [f64; 3], toward: [f64; 3], distance: f64) -> bool {
-        let mut s = CLEARANCE;
+        let mut s = 0.0;
         while s < distance {
             let p: [f64; 3] = std::array::from_fn(|a| x[a] + s * toward[a]);
             let outside = |a: usize| !lattice.periodic[a] && (p[a] < 0.0 || p[a] > (lattice.nodes[a] - 1) as f64);

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::grid::Grid;
 use crate::schedule::Pose;
+use crate::source::radiant::CLEARANCE;
 use crate::source::surface::SurfaceMeasure;
 use crate::source::{Film, HeatSource, Radiant, Region, SourceKind, SourceReport};
 use crate::thermal::Wall;
@@ -185,7 +186,9 @@ impl Terms {
             if weight[slot] <= 0.0 || across <= 0.0 {
                 return None;
             }
-            let seen = cx.surface.sees(cx.lattice, cx.walls, node.map(|c| c as f64), arriving.toward, arriving.distance / dx);
+            let out = vec3::normalize_or(cx.surface.facing[slot], [0.0; 3]);
+            let above = vec3::add_scaled(node.map(|c| c as f64), out, CLEARANCE);
+            let seen = cx.surface.sees(cx.lattice, cx.walls, above, arriving.toward, arriving.distance / dx);
             let a = radiant.absorptivity * arriving.irradiance * across * dx2 * weight[slot];
             seen.then_some(Term { slot: slot as u32, a, b: 0.0 })
         };
