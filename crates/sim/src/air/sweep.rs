@@ -267,7 +267,7 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
         }
         let fast = speed2.simd_gt(c(SPEED_CAP as f32 * SPEED_CAP as f32));
         if fast.any_true() {
-            watch.capped = watch.capped + fast.select(one, zero);
+            watch.capped += fast.select(one, zero);
         }
         watch.speed2 = watch.speed2.max(speed2);
         watch.density = [watch.density[0].min(low), watch.density[1].max(high)];
@@ -286,10 +286,10 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
         };
         d3q7::collide(s, &mut g, rates, cx.heat.source, h, t, carried);
         if GENERAL && class & HOLES != 0 {
-            g.rest = g.rest * memory;
+            g.rest *= memory;
             g.sum = each3(|q| g.sum[q] * memory);
             g.difference = each3(|q| g.difference[q] * memory);
-            counts = counts * memory;
+            counts *= memory;
         }
         store::<S>(g.rest, p.g[0], n);
         for q in 0..3 {
