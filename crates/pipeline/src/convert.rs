@@ -9,6 +9,7 @@ use megas_scene::{
     AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, HeatTransfer, MomentumTransfer, MotionKey, Object, Placement, Quantity, Region,
     ResolvedMaterial, Scene, Severity,
 };
+use megas_sim::air::SimulatedAir;
 use megas_sim::collider::{SCENE_CONTACT_OFFSET, Thermal};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
@@ -304,6 +305,39 @@ pub fn air_film(scene: &Scene, volume_m3: f64) -> Film {
     Film { ambient, coefficient, emissivity: scene.air.emissivity }
 }
 
+/// The air as a lattice.
+fn simulated_air(scene: &Scene, volume_m3: f64, config: &SolverConfig, points: &Points) -> Result<SimulatedAir, Failure> {
+    if scene.simulation.heat_every_substep {
+        return Err(Failure::Input(
+            "air.mode: \"still\" and \"lbm\" need exchanges at even intervals; set simulation.heat_every_substep = false, or air.mode = \"film\"".into(),
+        ));
+    }
+    let film = air_film(scene, volume_m3);
+    let sources = config.sources.iter().filter_map(|s| match s.kind {
+        SourceKind::Temperature { kelvin } => Some(kelvin),
+        SourceKind::Film(f) => Some(f.ambient),
+        // Powers have no temperature; what they heat melts before it gets much hotter.
+        _ => None,
+    });
+    let colliders = config.colliders.iter().flat_map(|c| match &c.thermal {
+        Thermal::Fixed { kelvin, keyframes } if keyframes.is_empty() => vec![*kelvin],
+        Thermal::Fixed { keyframes, .. } => keyframes.iter().map(|k| k[1]).collect(),
+        _ => Vec::new(),
+    });
+    let melting = config.materials.iter().map(|m| m.liquidus).filter(|t| t.is_finite());
+    let start = points.temperature.iter().map(|t| f64::from(*t));
+    let difference = sources.chain(colliders).chain(melting).chain(start).map(|t| (t - film.ambient).abs()).fold(5.0, f64::max);
+    Ok(SimulatedAir {
+        convection: scene.air.mode == AirMode::Lbm,
+        wall_film: if scene.air.wall_film { film.coefficient } else { 0.0 },
+        emissivity: film.emissivity,
+        temperature_difference: difference,
+        gravity: scene.simulation.gravity_m_s2,
+        plume_steps: scene.air.plume_steps,
+        closed: scene.air.closed,
+    })
+}
+
 /// What a scene becomes for the simulator.
 pub struct Prepared {
     /// Everything the solver needs.
@@ -351,7 +385,8 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
     let sources = scene.heat_or_default().iter().map(|h| heat_source(h, &context)).collect::<Result<Vec<_>, _>>()?;
     let air = match scene.air.mode {
         AirMode::None => AirModel::None,
-        AirMode::Film => AirModel::Film(air_film(scene, volume)),
+        // Simulated air follows below; until then a film stands in for it where melting times are estimated.
+        AirMode::Film | AirMode::Still | AirMode::Lbm => AirModel::Film(air_film(scene, volume)),
     };
     let transfer = match scene.heat_transfer() {
         HeatTransfer::Increments => Transfer::default(),
@@ -389,6 +424,9 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
         if let Thermal::Conducting(inside) = &mut c.thermal {
             inside.volumetric_capacity /= factor;
         }
+    }
+    if matches!(scene.air.mode, AirMode::Still | AirMode::Lbm) {
+        config.thermal.air = AirModel::Simulated(simulated_air(scene, volume, &config, &bodies.points)?);
     }
     Ok(Prepared { config, acceleration: factor, melt_time, remarks })
 }

@@ -190,6 +190,10 @@ fn save_checkpoint(solver: &Solver, folder: &Path, slot: &mut usize) -> Result<(
     for (k, (_, bytes)) in solver.particles().arrays().into_iter().enumerate() {
         t.push(&k.to_string(), bytes);
     }
+    let air = solver.air_state();
+    if !air.is_empty() {
+        t.push(&solver.particles().arrays().len().to_string(), &air);
+    }
     t.write(&folder.join(CHECKPOINTS[*slot]))?;
     *slot = 1 - *slot;
     Ok(())

@@ -225,13 +225,17 @@ pub enum AirMode {
     /// The surface exchanges heat with air of one temperature.
     #[default]
     Film,
+    /// The air conducts heat but does not move.
+    Still,
+    /// The air conducts and flows: plumes rise, cold air sinks (lattice Boltzmann). Costs most.
+    Lbm,
 }
 
 /// The air around the objects.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Air {
-    /// What the air does: "film" or "none".
+    /// What the air does: "film", "none", "still" (conducts) or "lbm" (conducts and flows).
     pub mode: AirMode,
     /// Temperature of the air and of the surroundings in °C.
     #[schemars(range(min = -273.15, max = 5000.0))]
@@ -241,11 +245,28 @@ pub struct Air {
     /// Emissivity of the surface, 0–1; 0 switches radiation off.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub emissivity: f64,
+    /// With "still" and "lbm": surfaces exchange at least as much heat as the film coefficient says, because the boundary
+    /// layer of most objects is thinner than a grid cell.
+    pub wall_film: bool,
+    /// With "lbm": steps of the air before the film starts, objects held, so that a plume is already there; about a
+    /// thousand make a second.
+    #[schemars(range(min = 0, max = 100_000))]
+    pub plume_steps: u32,
+    /// With "still" and "lbm": a closed box with walls at the temperature of the air instead of an open one.
+    pub closed: bool,
 }
 
 impl Default for Air {
     fn default() -> Self {
-        Self { mode: AirMode::Film, temperature_c: 20.0, film_coefficient_w_m2k: Auto::Value(10.0), emissivity: 0.9 }
+        Self {
+            mode: AirMode::Film,
+            temperature_c: 20.0,
+            film_coefficient_w_m2k: Auto::Value(10.0),
+            emissivity: 0.9,
+            wall_film: true,
+            plume_steps: 0,
+            closed: false,
+        }
     }
 }
 

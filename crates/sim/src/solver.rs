@@ -190,8 +190,11 @@ impl Solver {
         const SHORT: f64 = 1e-4;
         let backup = (self.particles.enthalpy.clone(), self.particles.temperature_gradient.clone());
         let solids = self.thermal.solids().clone();
-        self.heat(0.0, SHORT)?;
+        self.thermal.air_held = true;
+        let done = self.heat(0.0, SHORT);
+        self.thermal.air_held = false;
         self.thermal.set_solids(solids);
+        done?;
         (self.particles.enthalpy, self.particles.temperature_gradient) = backup;
         Ok(self.thermal.reports().iter().map(|r| (r.heat / SHORT, r.area)).collect())
     }
@@ -242,6 +245,11 @@ impl Solver {
         &self.particles
     }
 
+    /// The simulated air, once a step has been made.
+    pub fn air(&self) -> Option<&crate::air::Lattice> {
+        self.thermal.air()
+    }
+
     /// Sums over the whole run.
     pub fn totals(&self) -> &Totals {
         &self.totals
@@ -250,16 +258,18 @@ impl Solver {
     /// Advances to the next frame. `stop` is asked between coupling steps; if it answers true the state returns to the last
     /// complete frame and `None` comes back.
     pub fn advance_frame(&mut self, stop: &dyn Fn() -> bool) -> Result<Option<FrameReport>, SimError> {
-        let steps = (self.config.frame_dt / self.config.coupling_step - 1e-9).ceil().max(1.0) as u64;
+        let steps = self.coupling_steps();
         let dt = self.config.frame_dt / steps as f64;
         let start = self.time();
         let at_frame = (self.particles.clone(), self.totals.clone(), self.cautious);
         let solids = self.thermal.solids().clone();
+        let mut air = self.thermal.keep_air();
         let mut report = FrameReport::default();
         for c in 0..steps {
             if stop() {
                 (self.particles, self.totals, self.cautious) = at_frame;
                 self.thermal.set_solids(solids);
+                self.thermal.return_air(air.take());
                 return Ok(None);
             }
             self.coupling_step(start + c as f64 * dt, dt, &mut report)?;
@@ -281,6 +291,11 @@ impl Solver {
             self.exchange(time + k as f64 * dt / count, dt / count, report)?;
         }
         Ok(())
+    }
+
+    /// Coupling steps per frame.
+    fn coupling_steps(&self) -> u64 {
+        (self.config.frame_dt / self.config.coupling_step - 1e-9).ceil().max(1.0) as u64
     }
 
     /// One exchange between mechanics and heat, repeated with smaller substeps if it fails (§9.3).
@@ -374,6 +389,9 @@ impl Solver {
             let j = p.volume_ratio(i).clamp(0.6, 1.4);
             *v = p.volume[i] * j;
         });
+        if self.thermal.simulates_air() {
+            self.thermal.set_velocities((0..p.len()).map(|i| p.velocity(i)));
+        }
         let mut points = ThermalPoints {
             xi: &self.xi,
             mass: &p.mass,

@@ -17,6 +17,7 @@ pub use estimate::natural_film_coefficient;
 pub use solids::Solids;
 pub use solver::{NodeFields, ThermalSolver};
 
+use crate::air::SimulatedAir;
 use crate::source::Film;
 
 /// The points as the heat sees them: slices of equal length.
@@ -68,6 +69,8 @@ pub enum AirModel {
     None,
     /// Every surface that does not face a wall exchanges heat with still surroundings.
     Film(Film),
+    /// The air is a lattice of its own, which conducts and may flow.
+    Simulated(SimulatedAir),
 }
 
 /// Options of the solver.
@@ -128,9 +131,9 @@ impl Wall {
 /// Energy balance of one step in joules (simulation.md §3.7). Heat into the material counts positive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Audit {
-    /// `Σ m h` before the step.
+    /// `Σ m h`, and the heat of simulated air, before the step.
     pub before: f64,
-    /// `Σ m h` after it.
+    /// The same after it.
     pub after: f64,
     /// Powers and fluxes.
     pub source: f64,
@@ -142,6 +145,18 @@ pub struct Audit {
     pub wall: f64,
     /// Colliders that conduct heat.
     pub solid: f64,
+    /// Through open faces and sponges of simulated air.
+    #[serde(default)]
+    pub open: f64,
+    /// Heat of air that material pushed away or left behind; air only takes part where it is simulated.
+    #[serde(default)]
+    pub displaced: f64,
+    /// Heat of the simulated air at the end, contained in `after`.
+    #[serde(default)]
+    pub air: f64,
+    /// Nodes of simulated air whose speed was capped, summed over steps.
+    #[serde(default)]
+    pub capped: u32,
     /// `after − before − Σ heat`, and the same for the conducting colliders: rounding, unless something is wrong.
     pub residual: f64,
     /// Exposed surface \[m²\]; zero if nothing asked for it.
@@ -163,11 +178,20 @@ impl Audit {
             film: self.film + later.film,
             wall: self.wall + later.wall,
             solid: self.solid + later.solid,
+            open: self.open + later.open,
+            displaced: self.displaced + later.displaced,
+            air: later.air,
+            capped: self.capped.saturating_add(later.capped),
             residual: self.residual + later.residual,
             surface: later.surface,
             subcycles: self.subcycles.max(later.subcycles),
             skipped: self.skipped.max(later.skipped),
         };
+    }
+
+    /// Sum of the sizes of all heats \[J\].
+    pub fn heats(&self) -> f64 {
+        [self.source, self.dirichlet, self.film, self.wall, self.solid, self.open, self.displaced].iter().map(|q| q.abs()).sum()
     }
 
     /// True while the residual stays below `fraction` of the energies involved.
@@ -177,8 +201,7 @@ impl Audit {
 
     /// The larger of the energies and of the sum of heats, without signs \[J\].
     pub fn scale(&self) -> f64 {
-        let heat = self.source.abs() + self.dirichlet.abs() + self.film.abs() + self.wall.abs() + self.solid.abs();
-        self.before.abs().max(self.after.abs()).max(heat)
+        self.before.abs().max(self.after.abs()).max(self.heats())
     }
 }
 
@@ -197,6 +220,15 @@ pub enum ThermalError {
         needed: u32,
         /// Sub-cycles allowed.
         allowed: u32,
+    },
+    /// The simulated air is no longer a number, or its density is far from 1.
+    #[error(
+        "the simulated air became unstable at t = {time:.4} s; use a shorter coupling step (simulation.coupling_step_s), weaker \
+         sources, or air.mode = \"film\""
+    )]
+    Air {
+        /// Simulated time \[s\].
+        time: f64,
     },
     /// Slices of different lengths, or a material index out of range.
     #[error("thermal input: {0}")]

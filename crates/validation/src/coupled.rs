@@ -4,13 +4,14 @@ use megas_math::rng::Rng;
 use megas_math::svd::{polar_rotation, svd};
 use megas_math::{Mat3, mat3, quat};
 use megas_model::{FLAG_INTERNAL, Points};
+use megas_sim::air::SimulatedAir;
 use megas_sim::collider::{Collider, Shape};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
 use megas_sim::phase::{PhaseOptions, scale_deviator};
 use megas_sim::solver::{Coupling, Solver, SolverConfig};
 use megas_sim::source::{Film, HeatSource, Motion, Region, Schedule, SourceKind};
-use megas_sim::thermal::ThermalOptions;
+use megas_sim::thermal::{AirModel, ThermalOptions};
 
 use crate::{Case, Outcome, Plot, Row, Tier};
 
@@ -170,14 +171,20 @@ fn determinism() -> Outcome {
     };
     let setup = SolverConfig { colliders: vec![floor], ..config(grid, wax(), vec![lamp]) };
     let frames = 20;
-    let run = |threads: usize, restart: Option<u64>| -> Option<(u64, f64)> {
+    let flowing =
+        SolverConfig { thermal: ThermalOptions { air: AirModel::Simulated(SimulatedAir::default()), ..setup.thermal }, ..setup.clone() };
+    let run = |setup: &SolverConfig, frames: u64, threads: usize, restart: Option<u64>| -> Option<(u64, f64)> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()?;
         pool.install(|| {
             let mut solver = Solver::new(setup.clone(), &points).ok()?;
             let mut liquid = 0.0;
             for k in 0..frames {
                 if restart == Some(k) {
-                    let arrays: Vec<Vec<u8>> = solver.particles().arrays().into_iter().map(|(_, b)| b.to_vec()).collect();
+                    let mut arrays: Vec<Vec<u8>> = solver.particles().arrays().into_iter().map(|(_, b)| b.to_vec()).collect();
+                    let air = solver.air_state();
+                    if !air.is_empty() {
+                        arrays.push(air.iter().flat_map(|v| v.to_ne_bytes()).collect());
+                    }
                     let checkpoint = solver.checkpoint();
                     solver = Solver::new(setup.clone(), &points).ok()?;
                     solver.restore(checkpoint, &arrays).ok()?;
@@ -185,16 +192,23 @@ fn determinism() -> Outcome {
                 liquid = solver.advance_frame(&|| false).ok()??.liquid_fraction;
                 solver.export();
             }
-            Some((solver.particles().state_hash(), liquid))
+            let air = solver
+                .air_state()
+                .iter()
+                .fold(solver.particles().state_hash(), |h, v| (h ^ u64::from(v.to_bits())).wrapping_mul(0x0000_0100_0000_01b3));
+            Some((air, liquid))
         })
     };
-    let one = run(1, None);
-    let differs = |other: Option<(u64, f64)>| f64::from(u8::from(one.is_none() || other != one));
+    let one = run(&setup, frames, 1, None);
+    let airy = run(&flowing, 6, 1, None);
+    let differs = |other: Option<(u64, f64)>, one: Option<(u64, f64)>| f64::from(u8::from(one.is_none() || other != one));
     vec![
         Row::new("liquid fraction at the end (some, not all)", 0.5, one.map_or(0.0, |o| o.1), 0.45),
-        Row::new("two threads differ from one", 0.0, differs(run(2, None)), 0.0),
-        Row::new("four threads differ from one", 0.0, differs(run(4, None)), 0.0),
-        Row::new("a restart at frame 9 differs", 0.0, differs(run(2, Some(9))), 0.0),
+        Row::new("two threads differ from one", 0.0, differs(run(&setup, frames, 2, None), one), 0.0),
+        Row::new("four threads differ from one", 0.0, differs(run(&setup, frames, 4, None), one), 0.0),
+        Row::new("a restart at frame 9 differs", 0.0, differs(run(&setup, frames, 2, Some(9)), one), 0.0),
+        Row::new("simulated air: two threads differ from one", 0.0, differs(run(&flowing, 6, 2, None), airy), 0.0),
+        Row::new("simulated air: a restart at frame 3 differs", 0.0, differs(run(&flowing, 6, 2, Some(3)), airy), 0.0),
     ]
     .into()
 }

@@ -533,4 +533,83 @@ impl Lattice {
             self.g[slot] += W7[k] as f32 * change;
         }
     }
+
+    /// Σ g over all nodes with populations \[K · nodes\].
+    pub fn total_enthalpy(&self) -> f64 {
+        let [nx, ny, nz] = self.settings.nodes;
+        let rows: Vec<f64> = (0..nx)
+            .into_par_iter()
+            .map(|i| {
+                let mut sum = 0.0;
+                for j in 0..ny {
+                    let memory = &self.nodes.memory[self.layout.node([i, j, 0])..][..nz];
+                    for k in 0..Q7 {
+                        let slots = &self.g[self.layout.arriving(Q7, self.odd, k, [i as isize, j as isize, 0])..][..nz];
+                        sum += slots.iter().zip(memory).map(|(g, m)| f64::from(g * m)).sum::<f64>();
+                    }
+                }
+                sum
+            })
+            .collect();
+        rows.iter().sum()
+    }
+
+    /// Everything that the next step depends on, besides settings and media: per node the arriving populations, temperature,
+    /// role and velocity of what fills it. The same whether the next step is an odd or an even one.
+    pub fn save(&self) -> Vec<f32> {
+        let [nx, ny, nz] = self.settings.nodes;
+        let mut out = Vec::with_capacity(nx * ny * nz * (Q19 + Q7 + 6));
+        for n in self.every() {
+            let here = n.map(|v| v as isize);
+            if self.settings.flow {
+                out.extend((0..Q19).map(|k| self.f[self.layout.arriving(Q19, self.odd, k, here)]));
+            }
+            if self.settings.heat {
+                out.extend((0..Q7).map(|k| self.g[self.layout.arriving(Q7, self.odd, k, here)]));
+            }
+            let o = self.layout.node(n);
+            let v = &self.nodes.solid_velocity;
+            out.extend([self.nodes.t[o], self.nodes.memory[o], v[0][o], v[1][o], v[2][o], self.nodes.solid[o]]);
+        }
+        out
+    }
+
+    /// Continues from [`Lattice::save`]; call [`Lattice::set_nodes`] before the next step. False, and nothing changes, if the
+    /// state belongs to another lattice.
+    pub fn restore(&mut self, state: &[f32]) -> bool {
+        let (flow, heat) = (if self.settings.flow { Q19 } else { 0 }, if self.settings.heat { Q7 } else { 0 });
+        let record = flow + heat + 6;
+        let nodes: Vec<[usize; 3]> = self.every().collect();
+        if state.len() != nodes.len() * record {
+            return false;
+        }
+        self.odd = false;
+        self.filled.clear();
+        for (n, r) in nodes.into_iter().zip(state.chunks_exact(record)) {
+            let here = n.map(|v| v as isize);
+            for k in 0..flow {
+                let slot = self.layout.arriving(Q19, false, k, here);
+                self.f[slot] = r[k];
+            }
+            for k in 0..heat {
+                let slot = self.layout.arriving(Q7, false, k, here);
+                self.g[slot] = r[flow + k];
+            }
+            let o = self.layout.node(n);
+            let r = &r[flow + heat..];
+            (self.nodes.t[o], self.nodes.memory[o], self.nodes.solid[o]) = (r[0], r[1], r[5]);
+            for a in 0..3 {
+                self.nodes.solid_velocity[a][o] = r[2 + a];
+            }
+            if r[5] > 0.0 || r[1] == 0.0 {
+                self.filled.push(o as u32);
+            }
+        }
+        true
+    }
+
+    fn every(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
+        let [nx, ny, nz] = self.settings.nodes;
+        (0..nx).flat_map(move |i| (0..ny).flat_map(move |j| (0..nz).map(move |k| [i, j, k])))
+    }
 }

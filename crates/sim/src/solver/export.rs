@@ -65,7 +65,13 @@ impl Solver {
         }
     }
 
-    /// Continues from a checkpoint: `arrays` are the bytes of [`Particles::arrays`] in the same order. The run goes on
+    /// What to write after these arrays if it is not empty: the simulated air.
+    pub fn air_state(&self) -> Vec<f32> {
+        self.thermal.save_air()
+    }
+
+    /// Continues from a checkpoint: `arrays` are the bytes of [`Particles::arrays`] in the same order, and one more with
+    /// [`Solver::air_state`] where the air is simulated. The run goes on
     /// bitwise as if it had never stopped.
     pub fn restore(&mut self, checkpoint: Checkpoint, arrays: &[Vec<u8>]) -> Result<(), SimError> {
         let n = self.particles.len();
@@ -75,9 +81,13 @@ impl Solver {
         }
         let mut particles = Particles::blank(self.particles.grid(), n);
         let targets = particles.arrays_mut();
-        if targets.len() != arrays.len() {
-            return misfit(format!("it has {} arrays, expected {}", arrays.len(), targets.len()));
+        let expected = targets.len() + usize::from(self.thermal.simulates_air());
+        if arrays.len() != expected {
+            return misfit(format!("it has {} arrays, expected {expected}", arrays.len()));
         }
+        let air: Vec<f32> = arrays
+            .get(targets.len())
+            .map_or_else(Vec::new, |bytes| bytes.chunks_exact(4).map(|b| f32::from_ne_bytes([b[0], b[1], b[2], b[3]])).collect());
         for ((name, target), source) in targets.into_iter().zip(arrays) {
             if target.len() != source.len() {
                 return misfit(format!("array '{name}' has {} bytes, expected {}", source.len(), target.len()));
@@ -87,6 +97,9 @@ impl Solver {
         if !self.thermal.solids_mut().restore(&checkpoint.solids) {
             let (has, needs) = (checkpoint.solids.len(), self.thermal.solids().len());
             return misfit(format!("it has temperatures of {has} cells of colliders, expected {needs}"));
+        }
+        if !self.thermal.restore_air(&air, self.config.frame_dt / self.coupling_steps() as f64) {
+            return misfit("its air has another size".into());
         }
         particles.sort();
         self.particles = particles;

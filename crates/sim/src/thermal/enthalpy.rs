@@ -49,6 +49,22 @@ impl EnthalpyCurve {
         }
     }
 
+    /// Temperature \[K\] of `mass` \[kg\] that shares `energy` \[J\] with something of heat capacity `air` \[J/K\] whose energy is
+    /// zero at the reference temperature.
+    #[inline]
+    pub(crate) fn temperature_with(&self, mass: f64, air: f64, energy: f64) -> f64 {
+        let start = mass * self.h_s + air * (self.t_s - self.t_ref);
+        if energy <= start || start.is_nan() {
+            return self.t_ref + energy / (mass * self.c_s + air);
+        }
+        let end = mass * self.h_l + air * (self.t_l - self.t_ref);
+        if energy < end {
+            self.t_s + (energy - start) / (end - start) * (self.t_l - self.t_s)
+        } else {
+            self.t_l + (energy - end) / (mass * self.c_l + air)
+        }
+    }
+
     /// Liquid mass fraction in `[0, 1]` at specific enthalpy `h` \[J/kg\].
     #[inline]
     pub fn liquid_fraction(&self, h: f64) -> f64 {

@@ -106,6 +106,27 @@ impl Composition {
         }
     }
 
+    /// Temperature of a node that shares its energy with air of heat capacity `air` \[J/K\].
+    #[inline]
+    fn temperature_with(&self, media: &[Medium], kind: Kind, mass: f64, air: f64, t_ref: f64, energy: f64) -> f64 {
+        if air == 0.0 {
+            return self.temperature(media, kind, mass, energy);
+        }
+        match kind {
+            Kind::One(m) => media[m as usize].curve.temperature_with(mass, air, energy),
+            Kind::Mixed(_) => {
+                // Monotone: the air takes some of the energy, so the answer lies between the reference and the material alone.
+                let (mut a, mut b) = (t_ref, self.temperature(media, kind, mass, energy));
+                for _ in 0..100 {
+                    let t = 0.5 * (a + b);
+                    let alone = self.temperature(media, kind, mass, energy - air * (t - t_ref));
+                    if (alone > t) == (b > a) { a = t } else { b = t }
+                }
+                0.5 * (a + b)
+            }
+        }
+    }
+
     /// Energy of a node at temperature `t`.
     fn energy(&self, media: &[Medium], kind: Kind, mass: f64, t: f64) -> f64 {
         match kind {
@@ -158,6 +179,20 @@ struct Rim {
     bath: Bath,
 }
 
+/// The simulated air between and around the material (simulation.md §3.3, §3.6).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Around {
+    /// Conductivity of the air \[W/(m·K)\].
+    pub(crate) k: f64,
+    /// Reference temperature \[K\].
+    pub(crate) t_ref: f64,
+    /// Least film coefficient towards the air \[W/(m²·K)\].
+    pub(crate) film: f64,
+}
+
+/// Filled fraction up to which a node counts as air: its material keeps its heat.
+const THIN: f64 = 1e-4;
+
 /// Compact arrays over the nodes that hold material, in memory order of the grid.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Network {
@@ -182,9 +217,61 @@ pub(crate) struct Network {
     links: Vec<[f64; 6]>,
     walls: Vec<WallLink>,
     rims: Vec<Rim>,
+    /// With simulated air only: its constants; per node the heat capacity of its air \[J/K\] and its temperature over the
+    /// reference at the start; conductance to a node of air \[W/K\]; conductivity of the material alone.
+    pub(crate) around: Option<Around>,
+    air: Vec<f64>,
+    air_t: Vec<f64>,
+    to_air: Vec<f64>,
+    k_material: Vec<f64>,
 }
 
 impl Network {
+    /// True for a node with so little material that it counts as air.
+    #[inline(always)]
+    pub(crate) fn is_thin(&self, slot: usize) -> bool {
+        self.around.is_some() && self.phi[slot] <= THIN
+    }
+
+    /// Gives a node the air that its material leaves room for, at `t` over the reference; a full cell of air holds `cell`
+    /// \[J/K\]. Returns the heat of that air.
+    pub(crate) fn set_air(&mut self, slot: usize, cell: f64, t: f64) -> f64 {
+        self.air.resize(self.len(), 0.0);
+        self.air_t.resize(self.len(), 0.0);
+        let air = if self.is_thin(slot) { 0.0 } else { cell * (1.0 - self.phi[slot]).max(0.0) };
+        (self.air[slot], self.air_t[slot]) = (air, t);
+        air * t
+    }
+
+    /// Heat capacity of the air in a node \[J/K\].
+    #[inline(always)]
+    pub(crate) fn air_capacity(&self, slot: usize) -> f64 {
+        self.air.get(slot).copied().unwrap_or(0.0)
+    }
+
+    /// Conductance between a node and a neighbour of air \[W/K\].
+    #[inline(always)]
+    pub(crate) fn to_air(&self, slot: usize) -> f64 {
+        self.to_air[slot]
+    }
+
+    /// Energy of the material alone \[J\].
+    #[inline(always)]
+    pub(crate) fn material_energy(&self, slot: usize) -> f64 {
+        match self.around {
+            Some(around) => self.e[slot] - self.air_capacity(slot) * (self.t[slot] - around.t_ref),
+            None => self.e[slot],
+        }
+    }
+
+    /// Temperature \[K\] of the material alone at the start of the step.
+    pub(crate) fn own_temperature(&self, media: &[Medium], mix: &Composition, slot: usize) -> f64 {
+        match self.around {
+            Some(_) => mix.temperature(media, self.kind[slot], self.mass[slot], self.e0[slot]),
+            None => self.t[slot],
+        }
+    }
+
     pub(crate) fn len(&self) -> usize {
         self.dense.len()
     }
@@ -231,6 +318,8 @@ impl Network {
         self.e0.clear();
         self.walls.clear();
         self.rims.clear();
+        self.air.clear();
+        self.air_t.clear();
     }
 
     /// Adds a node; call in ascending order of `index`.
@@ -257,6 +346,13 @@ impl Network {
         let n = self.len();
         self.e.clear();
         self.e.extend_from_slice(&self.e0);
+        if self.around.is_some() {
+            self.air.resize(n, 0.0);
+            self.air_t.resize(n, 0.0);
+            for s in 0..n {
+                self.e[s] += self.air[s] * self.air_t[s];
+            }
+        }
         for v in [&mut self.t, &mut self.capacity, &mut self.k] {
             v.resize(n, 0.0);
         }
@@ -267,6 +363,7 @@ impl Network {
             .into_par_iter()
             .with_min_len(CHUNK)
             .for_each(|(t, c, k, kind, m, e)| (*t, *c, *k) = mix.state(media, *kind, *m, *e));
+        self.mix_in_air(media, mix, spacing);
         let mut links = std::mem::take(&mut self.links);
         let mut neighbours = std::mem::take(&mut self.neighbours);
         links.par_iter_mut().zip(neighbours.par_iter_mut()).with_min_len(CHUNK).enumerate().for_each(|(s, (g, nb))| {
@@ -280,6 +377,26 @@ impl Network {
         }
     }
 
+    /// Temperature, capacity and conductivity of nodes that are shared with air (simulation.md §3.3), and their conductance to
+    /// nodes of air.
+    fn mix_in_air(&mut self, media: &[Medium], mix: &Composition, spacing: f64) {
+        let Some(around) = self.around else { return };
+        self.k_material.clear();
+        self.to_air.clear();
+        for s in 0..self.len() {
+            let (kind, mass, air) = (self.kind[s], self.mass[s], self.air[s]);
+            let t = mix.temperature_with(media, kind, mass, air, around.t_ref, self.e[s]);
+            let (_, capacity, k) = mix.state(media, kind, mass, self.e[s] - air * (t - around.t_ref));
+            let filled = self.phi[s].min(1.0);
+            self.t[s] = t;
+            self.capacity[s] = capacity + air;
+            self.k_material.push(k);
+            self.k[s] = 1.0 / (filled / k + (1.0 - filled) / around.k);
+            let harmonic = 2.0 * self.k[s] * around.k / (self.k[s] + around.k);
+            self.to_air.push((spacing * harmonic).max(around.film * spacing * spacing));
+        }
+    }
+
     /// The flux link of slot `s` in direction `l` (−x, +x, −y, …): slot at the other end and conductance \[W/K\].
     #[inline(always)]
     fn link(&self, lattice: &Lattice, spacing: f64, walls: Option<&[Wall]>, s: usize, l: usize) -> Option<(u32, f64)> {
@@ -289,6 +406,17 @@ impl Network {
             && (walls[other].bath().is_some() || walls[self.dense[s] as usize].bath().is_some())
         {
             return None;
+        }
+        if self.around.is_some() {
+            let o = o as usize;
+            if self.is_thin(s) || self.is_thin(o) {
+                return None;
+            }
+            // One temperature per node, material and air in series; but the rim of a body touches it, so it conducts at least
+            // what the filled cross-section does.
+            let harmonic = |a: f64, b: f64| 2.0 * a * b / (a + b);
+            let touching = section(self.phi[s].min(self.phi[o])) * harmonic(self.k_material[s], self.k_material[o]);
+            return Some((o as u32, spacing * harmonic(self.k[s], self.k[o]).max(touching)));
         }
         // Harmonic mean over the filled cross-section: nodes at the rim neither insulate nor become stiff.
         let (a, b) = (self.k[s], self.k[o]);
@@ -405,6 +533,14 @@ impl Network {
 
     /// Temperatures from the energies.
     pub(crate) fn update_temperatures(&mut self, media: &[Medium], mix: &Composition) {
+        if let Some(around) = self.around {
+            let Self { t, e, kind, mass, air, .. } = self;
+            (t.par_iter_mut(), e.par_iter(), kind.par_iter(), mass.par_iter(), air.par_iter())
+                .into_par_iter()
+                .with_min_len(CHUNK)
+                .for_each(|(t, e, kind, m, a)| *t = mix.temperature_with(media, *kind, *m, *a, around.t_ref, *e));
+            return;
+        }
         let Self { t, e, kind, mass, .. } = self;
         (t.par_iter_mut(), e.par_iter(), kind.par_iter(), mass.par_iter())
             .into_par_iter()
@@ -414,6 +550,7 @@ impl Network {
 
     /// Energy \[J\] of a node at temperature `t`.
     pub(crate) fn energy_at(&self, media: &[Medium], mix: &Composition, slot: usize, t: f64) -> f64 {
-        mix.energy(media, self.kind[slot], self.mass[slot], t)
+        let air = self.around.map_or(0.0, |a| self.air_capacity(slot) * (t - a.t_ref));
+        mix.energy(media, self.kind[slot], self.mass[slot], t) + air
     }
 }

@@ -2,14 +2,16 @@
 
 use rayon::prelude::*;
 
+use crate::air::room::{AirBalance, CONDUCTIVITY, Room};
+use crate::air::{AirStep, Lattice};
 use crate::grid::Grid;
 use crate::material::Material;
 use crate::source::surface::SurfaceMeasure;
 use crate::source::terms::{Context, Terms};
-use crate::source::{HeatSource, SourceReport};
-use crate::thermal::network::{Composition, Kind, Medium, Network};
+use crate::source::{Film, HeatSource, SourceReport};
+use crate::thermal::network::{Around, Composition, Kind, Medium, Network};
 use crate::thermal::solids::Solids;
-use crate::thermal::transfer::{CHUNK, Lattice, Slabs, fixed_sum};
+use crate::thermal::transfer::{CHUNK, Lattice as Stencils, Slabs, fixed_sum};
 use crate::thermal::{AirModel, Audit, ThermalError, ThermalOptions, ThermalPoints, Transfer, Wall};
 
 /// Lanes of the node accumulator.
@@ -40,7 +42,7 @@ pub struct ThermalSolver {
     grid: Grid,
     options: ThermalOptions,
     media: Vec<Medium>,
-    lattice: Lattice,
+    lattice: Stencils,
     slabs: Slabs,
     network: Network,
     mix: Composition,
@@ -59,6 +61,14 @@ pub struct ThermalSolver {
     /// Per point: sub-grid relaxation \[J/kg\].
     relax: Vec<f64>,
     partial: Vec<f64>,
+    t_ref: f64,
+    /// Simulated air, from the first step on.
+    room: Option<Box<Room>>,
+    /// Leave the air alone: trial steps.
+    pub(crate) air_held: bool,
+    /// Velocity of the points \[m/s\] for the air, and per node their momentum.
+    point_velocity: Vec<[f32; 3]>,
+    momentum: Vec<[f32; 3]>,
 }
 
 impl ThermalSolver {
@@ -68,7 +78,7 @@ impl ThermalSolver {
             grid,
             options,
             media: materials.iter().map(|m| Medium::new(m, t_ref)).collect(),
-            lattice: Lattice::new(&grid, options.periodic),
+            lattice: Stencils::new(&grid, options.periodic),
             slabs: Slabs::default(),
             network: Network::default(),
             mix: Composition::default(),
@@ -83,6 +93,11 @@ impl ThermalSolver {
             field: vec![[0.0; 2]; grid.len()],
             relax: Vec::new(),
             partial: Vec::new(),
+            t_ref,
+            room: None,
+            air_held: false,
+            point_velocity: Vec::new(),
+            momentum: Vec::new(),
         }
     }
 
@@ -99,6 +114,55 @@ impl ThermalSolver {
     /// As [`ThermalSolver::solids`], to continue from kept temperatures.
     pub fn solids_mut(&mut self) -> &mut Solids {
         &mut self.solids
+    }
+
+    /// Tells the simulated air how fast the points move \[m/s\], in their order, before a step.
+    pub fn set_velocities(&mut self, velocity: impl Iterator<Item = [f32; 3]>) {
+        self.point_velocity.clear();
+        self.point_velocity.extend(velocity);
+    }
+
+    /// True if the air is simulated, not a film or nothing.
+    pub fn simulates_air(&self) -> bool {
+        matches!(self.options.air, AirModel::Simulated(_))
+    }
+
+    /// The simulated air after the first step.
+    pub fn air(&self) -> Option<&Lattice> {
+        self.room.as_ref().map(|r| &r.lattice)
+    }
+
+    /// How the air is stepped; `None` before the first step and without simulated air.
+    pub fn air_step(&self) -> Option<AirStep> {
+        self.room.as_ref().map(|r| r.step)
+    }
+
+    /// State of the simulated air for a checkpoint; empty without.
+    pub(crate) fn save_air(&self) -> Vec<f32> {
+        self.room.as_ref().map_or_else(Vec::new, |r| r.save())
+    }
+
+    /// Continues from [`ThermalSolver::save_air`] with coupling steps of `dt` seconds; false if it does not fit.
+    pub(crate) fn restore_air(&mut self, state: &[f32], dt: f64) -> bool {
+        self.room = None;
+        let AirModel::Simulated(settings) = self.options.air else { return state.is_empty() };
+        if state.is_empty() {
+            return true;
+        }
+        let mut room = Box::new(Room::new(settings, &self.grid, dt, self.t_ref));
+        let fits = room.restore(state);
+        self.room = fits.then_some(room);
+        fits
+    }
+
+    /// A copy of the simulated air, to return to.
+    pub(crate) fn keep_air(&self) -> Option<Box<Room>> {
+        self.room.clone()
+    }
+
+    /// Returns to a copy of the air.
+    pub(crate) fn return_air(&mut self, kept: Option<Box<Room>>) {
+        self.room = kept;
     }
 
     /// Temperature \[K\] of `material` at specific enthalpy `h` \[J/kg\].
@@ -158,18 +222,26 @@ impl ThermalSolver {
         self.scatter(points);
         self.scatter_channels(points, sources);
         self.collect();
+        let laps = self.place_air(points, dt, walls)?;
         self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls, &self.solids);
+        if let (Some(room), Some(_)) = (&mut self.room, self.network.around) {
+            room.start(&self.network);
+        }
 
-        let subcycles = self.subcycles(dt)?;
+        let subcycles = self.subcycles(dt / f64::from(laps))?;
         if let Transfer::Increments { relaxation } = self.options.transfer {
             self.relax_points(points, relaxation, dt);
         }
         let before = self.point_energy(points);
         let stored = self.solids.energy();
-        let walls = self.advance(dt, subcycles, time, sources, walls);
+        let wall = self.advance(dt, (laps, subcycles), time, sources, walls);
         self.gather(points);
         let after = self.point_energy(points);
-        Ok(self.audit(before, after, walls, self.solids.energy() - stored - self.solids.power() * dt, subcycles))
+        let mut air = AirBalance::default();
+        if let (Some(room), Some(_)) = (&mut self.room, self.network.around) {
+            air = room.finish(&self.network).ok_or(ThermalError::Air { time })?;
+        }
+        Ok(self.audit(before, after, wall, self.solids.energy() - stored - self.solids.power() * dt, subcycles, &air))
     }
 
     /// Conduction and sources for material at rest on the nodes, without points.
@@ -187,6 +259,7 @@ impl ThermalSolver {
             return Err(ThermalError::Input(format!("fields of {lengths:?} nodes on a grid of {n}")));
         }
         self.forget();
+        self.network.around = None;
         self.network.clear(self.grid.nodes);
         self.slabs.touched = self.grid.nodes.map(|n| [0, n]);
         let cell = self.grid.spacing.powi(3);
@@ -200,12 +273,12 @@ impl ThermalSolver {
         let subcycles = self.subcycles(dt)?;
         let before = self.network.e.iter().sum();
         let stored = self.solids.energy();
-        let walls = self.advance(dt, subcycles, time, sources, walls);
+        let wall = self.advance(dt, (1, subcycles), time, sources, walls);
         let after = self.network.e.iter().sum();
         for (i, e) in self.network.dense.iter().zip(&self.network.e) {
             fields.energy[*i as usize] = *e;
         }
-        Ok(self.audit(before, after, walls, self.solids.energy() - stored - self.solids.power() * dt, subcycles))
+        Ok(self.audit(before, after, wall, self.solids.energy() - stored - self.solids.power() * dt, subcycles, &AirBalance::default()))
     }
 
     fn check(&self, points: &ThermalPoints, walls: Option<&[Wall]>) -> Result<[bool; 256], ThermalError> {
@@ -328,6 +401,39 @@ impl ThermalSolver {
         }
     }
 
+    /// Roles of the nodes of the simulated air and its share of the material's nodes; returns the lattice steps to come.
+    fn place_air(&mut self, points: &ThermalPoints, dt: f64, walls: Option<&[Wall]>) -> Result<u32, ThermalError> {
+        self.network.around = None;
+        let AirModel::Simulated(settings) = self.options.air else { return Ok(1) };
+        if self.air_held {
+            return Ok(1);
+        }
+        self.network.around = Some(Around { k: CONDUCTIVITY, t_ref: self.t_ref, film: settings.wall_film });
+        let moving = settings.convection && self.point_velocity.len() == points.xi.len();
+        self.momentum.clear();
+        if moving {
+            self.momentum.resize(self.grid.len(), [0.0; 3]);
+            let velocity = &self.point_velocity;
+            let lattice = &self.lattice;
+            self.slabs.scatter(lattice, &mut self.momentum, 1, |part, first, p| {
+                lattice.stencil(points.xi[p]).visit(first, |n, w, _| {
+                    let m = (w * f64::from(points.mass[p])) as f32;
+                    part[n] = std::array::from_fn(|a| part[n][a] + m * velocity[p][a]);
+                });
+            });
+        }
+        let room = self.room.get_or_insert_with(|| Box::new(Room::new(settings, &self.grid, dt, self.t_ref)));
+        if !room.fits(dt) {
+            return Err(ThermalError::Input(format!("the air was set up for another coupling step than {dt} s")));
+        }
+        let (momentum, dense, mass) = (&self.momentum, self.network.dense.clone(), self.network.mass.clone());
+        room.take_places(&mut self.network, walls, |s| match momentum.get(dense[s] as usize) {
+            Some(m) => m.map(|v| v / mass[s] as f32),
+            None => [0.0; 3],
+        });
+        Ok(room.step.steps)
+    }
+
     fn subcycles(&self, dt: f64) -> Result<u32, ThermalError> {
         let (needed, allowed) = (self.network.subcycles(dt, &self.solids), self.options.max_subcycles);
         if needed > allowed { Err(ThermalError::TooFast { dt, needed, allowed }) } else { Ok(needed) }
@@ -335,14 +441,14 @@ impl ThermalSolver {
 
     /// Sub-grid relaxation: how far each point moves towards the temperature of its nodes, and the sums of that per node.
     fn relax_points(&mut self, points: &ThermalPoints, relaxation: f64, dt: f64) {
-        let Self { relax, field, network, lattice, media, nodes, slabs, grid, .. } = self;
+        let Self { relax, field, network, lattice, media, mix, nodes, slabs, grid, .. } = self;
         relax.clear();
         relax.resize(points.xi.len(), 0.0);
         if relaxation <= 0.0 {
             return;
         }
-        for (i, t) in network.dense.iter().zip(&network.t) {
-            field[*i as usize] = [0.0, *t];
+        for (s, i) in network.dense.iter().enumerate() {
+            field[*i as usize] = [0.0, network.own_temperature(media, mix, s)];
         }
         let rate = relaxation * dt / (grid.spacing * grid.spacing);
         relax.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
@@ -366,17 +472,20 @@ impl ThermalSolver {
     }
 
     /// Sources and conduction; returns the heat from walls of fixed temperature and from conducting obstacles.
-    fn advance(&mut self, dt: f64, subcycles: u32, time: f64, sources: &[HeatSource], walls: Option<&[Wall]>) -> [f64; 2] {
+    fn advance(&mut self, dt: f64, (laps, subcycles): (u32, u32), time: f64, sources: &[HeatSource], walls: Option<&[Wall]>) -> [f64; 2] {
         let film = match self.options.air {
             AirModel::Film(film) => Some(film),
-            AirModel::None => None,
+            AirModel::Simulated(air) if air.emissivity > 0.0 => {
+                Some(Film { ambient: self.t_ref, coefficient: 0.0, emissivity: air.emissivity })
+            }
+            AirModel::Simulated(_) | AirModel::None => None,
         };
         self.surface.area.clear();
         if film.is_some() || sources.iter().any(|s| s.needs_surface()) {
             let facing = sources.iter().any(|s| s.needs_facing());
             self.surface.compute(&self.lattice, &self.network, &self.slabs.touched, walls, facing);
         }
-        let Self { network, media, mix, terms, surface, grid, nodes, channels, stride, bodies, single_body, solids, lattice, .. } = self;
+        let Self { network, media, mix, terms, surface, grid, nodes, channels, stride, bodies, single_body, solids, lattice, room, .. } = self;
         terms.clear();
         {
             let share = |id: u16, slot: usize| match (*single_body, bodies.binary_search(&id)) {
@@ -396,9 +505,15 @@ impl ThermalSolver {
                 terms.add_film(film, &cx);
             }
         }
-        let part = dt / f64::from(subcycles);
+        let part = dt / f64::from(laps * subcycles);
         let mut from_walls = [0.0; 2];
-        for _ in 0..subcycles {
+        for lap in 0..laps * subcycles {
+            if let (Some(room), Some(_), 0) = (room.as_mut(), network.around, lap % subcycles) {
+                let mut e = std::mem::take(&mut network.e);
+                room.advance(network, Some(&mut e));
+                network.e = e;
+                network.update_temperatures(media, mix);
+            }
             if !terms.is_empty() {
                 terms.apply(network, part);
                 network.update_temperatures(media, mix);
@@ -416,7 +531,8 @@ impl ThermalSolver {
         let overwrite = !matches!(options.transfer, Transfer::Increments { .. });
         for s in 0..network.len() {
             let n = network.dense[s] as usize;
-            let gain = if overwrite { network.e[s] } else { network.e[s] - network.e0[s] - nodes[n][RELAX] };
+            let e = network.material_energy(s);
+            let gain = if overwrite { e } else { e - network.e0[s] - nodes[n][RELAX] };
             field[n] = [gain / network.mass[s], network.t[s]];
         }
         let this = &*self;
@@ -445,7 +561,7 @@ impl ThermalSolver {
         // With one material the enthalpy itself is interpolated, so that tracers know how far melting has come.
         let one = self.mix.used.as_slice() == [material];
         let value = if one {
-            self.ghost(xi, |s| network.e[s] / network.mass[s])
+            self.ghost(xi, |s| network.material_energy(s) / network.mass[s])
         } else {
             self.ghost(xi, |s| network.t[s]).map(|t| self.enthalpy(material, t))
         };
@@ -473,8 +589,9 @@ impl ThermalSolver {
         fixed_sum(points.h.len(), &mut self.partial, |p| if points.mass[p] > 0.0 { f64::from(points.mass[p]) * points.h[p] } else { 0.0 })
     }
 
-    fn audit(&self, before: f64, after: f64, [wall, solid]: [f64; 2], stored: f64, subcycles: u32) -> Audit {
+    fn audit(&self, before: f64, after: f64, [wall, solid]: [f64; 2], stored: f64, subcycles: u32, air: &AirBalance) -> Audit {
         let [source, dirichlet, film] = self.terms.totals();
+        let (before, after, wall) = (before + air.before, after + air.after, wall + air.wall);
         Audit {
             before,
             after,
@@ -483,7 +600,11 @@ impl ThermalSolver {
             film,
             wall,
             solid,
-            residual: after - before - (source + dirichlet + film + wall + solid) + stored + solid,
+            open: air.open,
+            displaced: air.displaced,
+            air: air.after,
+            capped: air.capped,
+            residual: after - before - (source + dirichlet + film + wall + solid + air.open + air.displaced) + stored + solid,
             surface: self.surface.area.iter().sum::<f64>() * self.grid.spacing.powi(2),
             subcycles,
             skipped: self.slabs.skipped as u32,

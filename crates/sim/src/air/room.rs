@@ -1,0 +1,280 @@
+//! The air around the material, in SI: roles of the nodes, exchange with the network of material nodes, audit
+//! (simulation.md §3.5–§3.7, §4.8, §4.9).
+
+use serde::{Deserialize, Serialize};
+
+use crate::air::lattice::{HeatNode, Lattice, NodeState};
+use crate::air::settings::{Face, LatticeSettings};
+use crate::grid::Grid;
+use crate::thermal::Wall;
+use crate::thermal::network::Network;
+
+/// Kinematic viscosity \[m²/s\], conductivity \[W/(m·K)\] and volumetric heat capacity \[J/(m³·K)\] of room air.
+const VISCOSITY: f64 = 1.5e-5;
+pub(crate) const CONDUCTIVITY: f64 = 0.026;
+pub(crate) const HEAT_CAPACITY: f64 = 1.2e3;
+
+/// Speed that the time step aims at, in nodes per step (simulation.md §4.8).
+const TARGET_SPEED: f64 = 0.08;
+/// Largest lattice conductivity before the step is divided.
+const LARGEST_CONDUCTIVITY: f64 = 0.5;
+/// Smallest lattice viscosity; thinner air is thickened and says so.
+const LEAST_VISCOSITY: f64 = 1.0 / 600.0;
+/// Smallest lattice conductivity.
+const LEAST_CONDUCTIVITY: f64 = 0.002;
+/// Smagorinsky constant, and the relaxation time below which the model is on.
+const SMAGORINSKY: f64 = 0.1;
+const THIN: f64 = 0.53;
+/// Layers of sponge inside open faces.
+const SPONGE: usize = 6;
+/// Largest speed of material on the lattice.
+const LARGEST_SOLID_SPEED: f32 = 0.1;
+/// Density outside of which the air has failed.
+const DENSITY: [f32; 2] = [0.5, 1.5];
+
+/// Air that is simulated (simulation.md §3.6 `still`, `lbm`).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulatedAir {
+    /// The air flows; otherwise it only conducts.
+    pub convection: bool,
+    /// Least film coefficient between material and air \[W/(m²·K)\], for boundary layers thinner than a cell; 0 leaves the
+    /// lattice to itself.
+    pub wall_film: f64,
+    /// Emissivity of the surfaces towards surroundings at the ambient temperature, 0–1; 0 switches radiation off.
+    pub emissivity: f64,
+    /// Expected difference between the hottest or coldest thing and the air \[K\], > 0: sets the time step.
+    pub temperature_difference: f64,
+    /// Gravity \[m/s²\], along −z.
+    pub gravity: f64,
+    /// Lattice steps before time starts, with the material held, so that a plume has formed.
+    pub plume_steps: u32,
+    /// Closed box with walls at ambient temperature instead of an open one.
+    pub closed: bool,
+}
+
+impl Default for SimulatedAir {
+    fn default() -> Self {
+        Self {
+            convection: true,
+            wall_film: 0.0,
+            emissivity: 0.0,
+            temperature_difference: 40.0,
+            gravity: 9.81,
+            plume_steps: 0,
+            closed: false,
+        }
+    }
+}
+
+/// Chosen step and what it did to the air.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AirStep {
+    /// Lattice steps per coupling step.
+    pub steps: u32,
+    /// Viscosity over that of real air, ≥ 1; conductivity of pure air grows alike.
+    pub thickened: f64,
+}
+
+impl SimulatedAir {
+    /// Lattice settings and step for coupling steps of `dt` seconds (simulation.md §4.8).
+    fn lattice(&self, grid: &Grid, dt: f64, ambient: f64) -> (LatticeSettings, AirStep) {
+        let dx = grid.spacing;
+        let height = grid.nodes[2] as f64 * dx;
+        let rise = if self.convection { (self.gravity * self.temperature_difference / ambient * height).sqrt() } else { 0.0 };
+        let alpha = CONDUCTIVITY / HEAT_CAPACITY;
+        let steps = (rise * dt / (TARGET_SPEED * dx)).max(alpha * dt / (LARGEST_CONDUCTIVITY * dx * dx)).ceil().max(1.0);
+        let step = dt / steps;
+        let unit = step / (dx * dx);
+        let thickened = if self.convection { (LEAST_VISCOSITY / (VISCOSITY * unit)).max(1.0) } else { 1.0 };
+        let viscosity = VISCOSITY * unit * thickened;
+        let mut s = LatticeSettings::new(grid.nodes, viscosity, (alpha * unit * thickened).max(LEAST_CONDUCTIVITY));
+        s.flow = self.convection;
+        s.smagorinsky = if 3.0 * viscosity + 0.5 < THIN { SMAGORINSKY } else { 0.0 };
+        let beta = 1.0 / ambient;
+        s.buoyancy = [0.0, 0.0, self.gravity * beta * step * step / dx];
+        s.buoyancy_limit = 0.5 / beta;
+        let side = if self.closed { Face::fixed(0.0) } else { Face::OPEN };
+        s.faces = [[side; 2], [side; 2], [Face::WALL, side]];
+        s.sponge_layers = if self.closed { 0 } else { SPONGE };
+        (s, AirStep { steps: steps as u32, thickened })
+    }
+}
+
+/// Energy balance of the air over one coupling step \[J\], positive into the air.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct AirBalance {
+    pub(crate) before: f64,
+    pub(crate) after: f64,
+    pub(crate) wall: f64,
+    pub(crate) open: f64,
+    pub(crate) displaced: f64,
+    pub(crate) capped: u32,
+}
+
+/// The lattice and its place among the material.
+#[derive(Clone, Debug)]
+pub(crate) struct Room {
+    settings: SimulatedAir,
+    pub(crate) lattice: Lattice,
+    pub(crate) step: AirStep,
+    /// Coupling step that the lattice was made for \[s\].
+    dt: f64,
+    ambient: f64,
+    spacing: f64,
+    /// Heat capacity of a node of air \[J/K\].
+    cell: f64,
+    /// Heat of the air in partly filled nodes \[J\], and of all air, at the end of the last step.
+    share: f64,
+    started: bool,
+    states: Vec<([usize; 3], NodeState)>,
+    balance: AirBalance,
+}
+
+impl Room {
+    /// Air at rest at the ambient temperature, for coupling steps of `dt` seconds.
+    pub(crate) fn new(settings: SimulatedAir, grid: &Grid, dt: f64, ambient: f64) -> Self {
+        let (lattice, step) = settings.lattice(grid, dt, ambient);
+        Self {
+            settings,
+            lattice: Lattice::new(lattice),
+            step,
+            dt,
+            ambient,
+            spacing: grid.spacing,
+            cell: HEAT_CAPACITY * grid.spacing.powi(3),
+            share: 0.0,
+            started: false,
+            states: Vec::new(),
+            balance: AirBalance::default(),
+        }
+    }
+
+    /// True if the lattice was made for steps of `dt`.
+    pub(crate) fn fits(&self, dt: f64) -> bool {
+        (dt / self.dt - 1.0).abs() < 1e-9
+    }
+
+    /// Gives every node its role for this coupling step and the network its share of the air. `velocity(slot)` in m/s.
+    pub(crate) fn take_places(&mut self, network: &mut Network, walls: Option<&[Wall]>, velocity: impl Fn(usize) -> [f32; 3]) {
+        let per_step = (self.dt / f64::from(self.step.steps) / self.spacing) as f32;
+        let mut states = std::mem::take(&mut self.states);
+        states.clear();
+        let solid_wall = |i: usize| walls.map_or(Wall::Open, |w| w[i]);
+        let mut slot = 0;
+        let total: usize = self.lattice.settings().nodes.iter().product();
+        let [_, ny, nz] = self.lattice.settings().nodes;
+        for i in 0..total {
+            let mine = (slot < network.len() && network.dense[slot] as usize == i).then_some(slot);
+            slot += usize::from(mine.is_some());
+            let wall = solid_wall(i);
+            let node = [i / nz / ny, i / nz % ny, i % nz];
+            let state = match (wall, mine) {
+                (Wall::Open, Some(s)) if !network.is_thin(s) => {
+                    let v = velocity(s).map(|v| v * per_step);
+                    let size = v.iter().map(|x| x * x).sum::<f32>().sqrt();
+                    let keep = if size > LARGEST_SOLID_SPEED { LARGEST_SOLID_SPEED / size } else { 1.0 };
+                    NodeState { solid: network.phi[s].min(1.0) as f32, velocity: v.map(|x| x * keep), heat: HeatNode::Exchange(s as u32) }
+                }
+                (Wall::Open, _) => continue,
+                _ => NodeState {
+                    solid: 1.0,
+                    velocity: [0.0; 3],
+                    // Conducting obstacles exchange heat with material only; towards the air they are insulated.
+                    heat: match wall {
+                        Wall::Fixed(t) => HeatNode::Fixed((f64::from(t) - self.ambient) as f32),
+                        _ => HeatNode::Adiabatic,
+                    },
+                },
+            };
+            states.push((node, state));
+        }
+        // The air in partly filled nodes keeps the temperature that the node had.
+        let mut share = 0.0;
+        for s in 0..network.len() {
+            let here = self.lattice.temperature(network.node(s));
+            share += network.set_air(s, self.cell, here);
+        }
+        let (lost, released) = self.lattice.set_nodes(&states);
+        let displaced = share - self.share + self.cell * (released - lost);
+        self.share = share;
+        self.balance = AirBalance { before: self.energy() + share - displaced, displaced, ..AirBalance::default() };
+        self.states = states;
+    }
+
+    /// Heat in the populations \[J\].
+    fn energy(&self) -> f64 {
+        self.cell * self.lattice.total_enthalpy()
+    }
+
+    /// Lets a plume form before the first step, with the material held at its temperature.
+    pub(crate) fn start(&mut self, network: &Network) {
+        if std::mem::replace(&mut self.started, true) {
+            return;
+        }
+        for _ in 0..self.settings.plume_steps {
+            self.advance(network, None);
+        }
+        self.balance = AirBalance { before: self.energy() + self.share, ..AirBalance::default() };
+    }
+
+    /// One lattice step; moves heat between `energy` (per slot, if given) and the air.
+    pub(crate) fn advance(&mut self, network: &Network, mut energy: Option<&mut [f64]>) {
+        let dt = self.dt / f64::from(self.step.steps);
+        let (cell, ambient) = (self.cell, self.ambient);
+        let report = self.lattice.step_with(|links, flux| {
+            for (q, link) in flux.iter_mut().zip(links) {
+                let s = link.other as usize;
+                let g = network.to_air(s) * dt;
+                // Semi-implicit in the node: stable however little material it holds.
+                let kelvin = g * (network.t[s] - ambient - f64::from(link.air)) / (1.0 + g / network.capacity[s]) / cell;
+                *q = kelvin as f32;
+                if let Some(energy) = energy.as_deref_mut() {
+                    energy[s] -= f64::from(*q) * cell;
+                }
+            }
+        });
+        self.balance.wall += cell * report.wall;
+        self.balance.open += cell * report.open;
+        self.balance.capped += report.seen.capped;
+        let [low, high] = report.seen.density;
+        if self.settings.convection && !(low > DENSITY[0] && high < DENSITY[1]) {
+            self.balance.capped = u32::MAX;
+        }
+    }
+
+    /// Closes the step: the nodes' temperatures become those of the air in them. `None` if the air has failed.
+    pub(crate) fn finish(&mut self, network: &Network) -> Option<AirBalance> {
+        let mut share = 0.0;
+        for s in 0..network.len() {
+            let t = (network.t[s] - self.ambient) as f32;
+            if !network.is_thin(s) {
+                self.lattice.set_temperature(network.node(s), t);
+                share += network.air_capacity(s) * f64::from(t);
+            }
+        }
+        self.share = share;
+        self.balance.after = self.energy() + share;
+        (self.balance.capped != u32::MAX && self.balance.after.is_finite()).then_some(self.balance)
+    }
+
+    /// Everything that the next step depends on.
+    pub(crate) fn save(&self) -> Vec<f32> {
+        let mut out = self.lattice.save();
+        // An f64 as two f32 that add up to it would lose bits; keep the bits themselves.
+        let bits = self.share.to_bits();
+        out.extend([f32::from_bits((bits >> 32) as u32), f32::from_bits(bits as u32), f32::from(u8::from(self.started))]);
+        out
+    }
+
+    /// Continues from [`Room::save`]; false if it does not fit.
+    pub(crate) fn restore(&mut self, state: &[f32]) -> bool {
+        let Some((lattice, [high, low, started])) = state.split_last_chunk::<3>() else { return false };
+        if !self.lattice.restore(lattice) {
+            return false;
+        }
+        self.share = f64::from_bits(u64::from(high.to_bits()) << 32 | u64::from(low.to_bits()));
+        self.started = *started != 0.0;
+        true
+    }
+}

@@ -1,0 +1,153 @@
+//! Simulated air around moving, melting material: energy audit, plume, threads, restarts.
+
+use megas_model::Points;
+use megas_sim::air::SimulatedAir;
+use megas_sim::collider::{Collider, Shape, Thermal};
+use megas_sim::grid::Grid;
+use megas_sim::material::Material;
+use megas_sim::phase::PhaseOptions;
+use megas_sim::solver::{FrameReport, Solver, SolverConfig};
+use megas_sim::thermal::{AirModel, ThermalOptions};
+
+const AMBIENT: f64 = 293.15;
+const DX: f64 = 0.005;
+
+fn wax() -> Material {
+    Material {
+        name: "wax".into(),
+        density: 900.0,
+        shear_modulus: 2e4,
+        bulk_modulus: 4e4,
+        heat_capacity_solid: 2100.0,
+        heat_capacity_liquid: 2300.0,
+        conductivity_solid: 0.24,
+        conductivity_liquid: 0.15,
+        latent_heat: 2e4,
+        solidus: 318.0,
+        liquidus: 325.0,
+        ..Material::default()
+    }
+}
+
+/// A cube of 6³ cells at `t` kelvin, its lowest point at `low` cells.
+fn cube(t: f32, low: f64) -> Points {
+    let mut points = Points::default();
+    for i in 0..12 {
+        for j in 0..12 {
+            for k in 0..12 {
+                let at = |first: f64, n: i32| ((first + 0.25 + 0.5 * f64::from(n)) * DX) as f32;
+                points.position.push([at(9.0, i), at(9.0, j), at(low, k)].map(f64::from).map(|v| v as _));
+                points.volume.push((0.125 * DX.powi(3)) as f32);
+                points.temperature.push(t);
+                points.normal.push([0.0; 3]);
+                points.material.push(0);
+                points.object.push(1);
+                points.flags.push(0);
+                points.id.push(points.id.len() as u32);
+            }
+        }
+    }
+    points
+}
+
+fn config(air: SimulatedAir, plate: f64, mechanics: bool) -> SolverConfig {
+    let mut floor = Collider::new(Shape::Plane { point: [0.0, 0.0, 5.2 * DX], normal: [0.0, 0.0, 1.0] }.into());
+    floor.thermal = Thermal::Fixed { kelvin: plate, keyframes: Vec::new() };
+    SolverConfig {
+        grid: Grid { origin: [0.0; 3], spacing: DX, nodes: [24, 24, 33] },
+        materials: vec![wax()],
+        sources: Vec::new(),
+        colliders: vec![floor],
+        gravity: [0.0, 0.0, -9.81],
+        ambient: AMBIENT,
+        thermal: ThermalOptions { air: AirModel::Simulated(air), ..ThermalOptions::default() },
+        phase: PhaseOptions::default(),
+        frame_dt: 0.02,
+        coupling_step: 0.002,
+        courant: 0.4,
+        mechanics,
+        coupling: Default::default(),
+    }
+}
+
+fn advance(solver: &mut Solver) -> FrameReport {
+    let report = solver.advance_frame(&|| false).expect("a step").expect("not stopped");
+    solver.export();
+    report
+}
+
+#[test]
+fn the_audit_closes_while_a_hot_cube_falls_onto_a_plate() {
+    let mut solver = Solver::new(config(SimulatedAir::default(), 340.0, true), &cube(330.0, 9.0)).expect("a solver");
+    for _ in 0..8 {
+        let report = advance(&mut solver);
+        let audit = report.audit.expect("an audit");
+        let scale = audit.before.abs().max(audit.after.abs()).max(audit.heats());
+        assert!(audit.residual.abs() < 1e-5 * scale, "{audit:?}");
+        assert_eq!(audit.capped, 0);
+    }
+    let total = solver.totals().audit.expect("an audit");
+    // The cube pushed air away on its way down, the plate heated the air, and some left.
+    assert!(total.displaced != 0.0 && total.wall > 0.0 && total.air > 0.0, "{total:?}");
+}
+
+#[test]
+fn warm_air_rises_over_a_plate() {
+    let mut solver = Solver::new(config(SimulatedAir::default(), 353.15, false), &cube(AMBIENT as f32, 9.0)).expect("a solver");
+    for _ in 0..25 {
+        advance(&mut solver);
+    }
+    let air = solver.air().expect("simulated air");
+    // Beside the cube, over the plate.
+    let near: f64 = air.temperature([4, 12, 6]);
+    let above: f64 = air.temperature([4, 12, 12]);
+    assert!(near > 5.0 && near < 60.0 && above < near, "{near} {above}");
+    let fastest = (0..33).map(|k| air.flow([18, 12, k]).1[2]).fold(f64::MIN, f64::max);
+    assert!(fastest > 1e-3, "{fastest}");
+}
+
+#[test]
+fn still_air_takes_what_a_cube_loses() {
+    let air = SimulatedAir { convection: false, closed: true, ..SimulatedAir::default() };
+    let mut solver = Solver::new(config(air, AMBIENT, false), &cube(310.0, 12.0)).expect("a solver");
+    let first = advance(&mut solver).audit.expect("an audit");
+    for _ in 0..10 {
+        advance(&mut solver);
+    }
+    let total = solver.totals().audit.expect("an audit");
+    assert!(total.residual.abs() < 1e-5 * total.before.abs(), "{total:?}");
+    assert!(total.air > first.air && total.air > 0.0, "{total:?}");
+    // Conduction into still air: the order of k ΔT A / √(π α t), which a film of h = k/√(πα t) would give.
+    let area = 6.0 * (6.0 * DX).powi(2);
+    let time = 0.22f64;
+    let by_plane = 2.0 * 0.026 * 17.0 * area * (time / (std::f64::consts::PI * 0.026 / 1200.0)).sqrt();
+    let lost = total.air - total.wall.min(0.0);
+    assert!((0.5..1.6).contains(&(lost / by_plane)), "{lost} {by_plane}");
+}
+
+#[test]
+fn threads_and_restarts_change_no_bit() {
+    let setup = config(SimulatedAir { wall_film: 10.0, emissivity: 0.9, plume_steps: 5, ..SimulatedAir::default() }, 350.0, true);
+    let points = cube(320.0, 7.0);
+    let run = |threads: usize, restart: Option<usize>| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        pool.install(|| {
+            let mut solver = Solver::new(setup.clone(), &points).expect("a solver");
+            for k in 0..6 {
+                if restart == Some(k) {
+                    let mut arrays: Vec<Vec<u8>> = solver.particles().arrays().into_iter().map(|(_, b)| b.to_vec()).collect();
+                    arrays.push(bytemuck::cast_slice(&solver.air_state()).to_vec());
+                    let checkpoint = solver.checkpoint();
+                    solver = Solver::new(setup.clone(), &points).expect("a solver");
+                    solver.restore(checkpoint, &arrays).expect("a checkpoint that fits");
+                }
+                advance(&mut solver);
+            }
+            let air: Vec<u32> = solver.air_state().iter().map(|v| v.to_bits()).collect();
+            (solver.particles().state_hash(), air)
+        })
+    };
+    let one = run(1, None);
+    assert!(one == run(2, None), "two threads differ from one");
+    assert!(one == run(2, Some(3)), "a restart differs");
+}
