@@ -1,6 +1,7 @@
 //! The master loop: mechanics, phase, heat, checks, export (simulation.md §2.6, §9.3, §10.1).
 
 mod export;
+mod failure;
 mod report;
 mod walls;
 
@@ -9,24 +10,22 @@ use megas_model::Points;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::collider::Collider;
+use crate::collider::{Collider, Thermal};
 use crate::grid::Grid;
 use crate::material::Material;
 use crate::mechanics::{Mechanics, Report, Settings};
 use crate::particles::{ParticleError, Particles};
 use crate::phase::{PhaseOptions, PhaseRule, scale_deviator, swell};
-use crate::source::HeatSource;
+use crate::source::{HeatSource, SourceKind};
 use crate::thermal::solids::Solids;
-use crate::thermal::{Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver};
+use crate::thermal::{AirModel, Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver};
 
 pub use export::Checkpoint;
+use failure::{Caution, Health, MAX_FAILURES, Ring, TemperatureRange};
+pub use failure::{CautiousHeat, Culprit};
 pub use report::{FrameReport, Totals, repaired};
 use walls::Walls;
 
-/// Coupling steps after a failure during which the substep stays halved (§9.3).
-const CAUTIOUS_STEPS: u32 = 20;
-/// Failures in a row after which the run stops (§9.3).
-const MAX_FAILURES: u32 = 4;
 /// Courant number of [`Mechanics::time_step`].
 const DEFAULT_COURANT: f64 = 0.4;
 /// Substeps per coupling step above which the run is refused (§2.5).
@@ -102,12 +101,12 @@ pub enum SimError {
         spacing: f64,
     },
     /// Repeated failure in spite of smaller steps.
-    #[error("the simulation became unstable at t = {time:.4} s and four smaller time steps did not help: {what}")]
+    #[error("the simulation became unstable at t = {time:.4} s and going back to four times smaller time steps did not help: {culprit}")]
     Unstable {
         /// Simulated time \[s\].
         time: f64,
-        /// Particle, material and violated limit.
-        what: String,
+        /// Particle, object, material and violated limit.
+        culprit: Box<Culprit>,
     },
     /// A checkpoint that does not belong to this simulation.
     #[error("the checkpoint does not fit: {0}")]
@@ -125,8 +124,10 @@ pub struct Solver {
     walls: Option<Walls>,
     totals: Totals,
     frame: u64,
-    /// Coupling steps left with a halved substep, and by how much it is halved.
-    cautious: (u32, f64),
+    caution: Caution,
+    cautious_heat: CautiousHeat,
+    ring: Ring,
+    temperatures: TemperatureRange,
     xi: Vec<[f64; 3]>,
     current_volume: Vec<f32>,
 }
@@ -169,6 +170,7 @@ impl Solver {
         let (solids, cells) = Solids::new(&config.grid, &config.colliders);
         thermal.set_solids(solids);
         let walls = Walls::new(&config.grid, &config.colliders, cells);
+        let temperatures = temperature_range(&config, points);
         Ok(Self {
             particles,
             mechanics,
@@ -177,7 +179,10 @@ impl Solver {
             walls,
             totals: Totals::default(),
             frame: 0,
-            cautious: (0, 1.0),
+            caution: Caution::NONE,
+            cautious_heat: CautiousHeat::default(),
+            ring: Ring::default(),
+            temperatures,
             xi: Vec::new(),
             current_volume: Vec::new(),
             config,
@@ -219,7 +224,7 @@ impl Solver {
         let steps = (seconds / self.config.coupling_step).ceil().max(1.0);
         self.mechanics.settings.drag = DRAG;
         for _ in 0..steps as u64 {
-            self.move_points(0.0, seconds / steps, &mut FrameReport::default())?;
+            self.substeps(seconds / steps)?;
         }
         self.mechanics.settings.drag = 0.0;
         for i in 0..self.particles.len() {
@@ -261,18 +266,47 @@ impl Solver {
         let steps = self.coupling_steps();
         let dt = self.config.frame_dt / steps as f64;
         let start = self.time();
-        let at_frame = (self.particles.clone(), self.totals.clone(), self.cautious);
-        let solids = self.thermal.solids().clone();
         let mut air = self.thermal.keep_air();
-        let mut report = FrameReport::default();
-        for c in 0..steps {
+        let before = (self.caution, self.cautious_heat);
+        let mut report = FrameReport { strayed: Health::of(&self.particles).strayed, ..FrameReport::default() };
+        // The step that failed last, and how often in a row.
+        let (mut step, mut failed, mut failures) = (0, 0, 0);
+        while step < steps {
             if stop() {
-                (self.particles, self.totals, self.cautious) = at_frame;
-                self.thermal.set_solids(solids);
+                self.go_back(0, &mut report);
+                (self.caution, self.cautious_heat) = before;
                 self.thermal.return_air(air.take());
                 return Ok(None);
             }
-            self.coupling_step(start + c as f64 * dt, dt, &mut report)?;
+            self.ring.save(step, &self.particles, self.thermal.solids().temperatures(), &report);
+            let time = start + step as f64 * dt;
+            match self.coupling_step(time, dt, &mut report)? {
+                Ok(()) => {
+                    if step >= failed {
+                        failures = 0;
+                    }
+                    step += 1;
+                }
+                Err(attempt) => {
+                    failures += 1;
+                    self.go_back(step, &mut report);
+                    if failures > MAX_FAILURES {
+                        let materials = &self.config.materials;
+                        self.mechanics.time = time;
+                        let culprit = failure::culprit(&mut self.particles, &mut self.mechanics, materials, attempt.0, attempt.1);
+                        return Err(SimError::Unstable { time, culprit: Box::new(culprit) });
+                    }
+                    failed = step.max(failed);
+                    self.caution.raise();
+                    report.rollbacks += 1;
+                    // Shorter substeps did not help: the harm may have been done in the step before.
+                    // (Air is not kept from step to step; with it, only the step itself is repeated.)
+                    if failures == 2 && step > 0 && air.is_none() {
+                        step -= 1;
+                        self.go_back(step, &mut report);
+                    }
+                }
+            }
         }
         self.frame += 1;
         report.finish(self.frame, self.time(), &self.particles, &self.config.materials);
@@ -280,17 +314,26 @@ impl Solver {
         Ok(Some(report))
     }
 
-    /// The exchanges of one coupling step: one, or one for each substep where that is asked for.
-    fn coupling_step(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<(), SimError> {
+    /// Restores the start of a coupling step of this frame, one of the last two or the first.
+    fn go_back(&mut self, step: u64, report: &mut FrameReport) {
+        let solids = self.ring.restore(step, &mut self.particles, report);
+        self.thermal.solids_mut().restore(solids);
+    }
+
+    /// The exchanges of one coupling step: one, or one for each substep where that is asked for. If the mechanics fails (§9.3),
+    /// number and length of the substeps come back and the state is lost.
+    fn coupling_step(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<Result<(), (u64, f64)>, SimError> {
         if !(self.config.coupling.heat_every_substep && self.config.mechanics) {
             return self.exchange(time, dt, report);
         }
         let substeps = self.mechanics.time_step(&self.particles, dt).steps as f64 * DEFAULT_COURANT / self.config.courant;
         let count = substeps.ceil().clamp(1.0, MAX_SUBSTEPS as f64);
         for k in 0..count as u64 {
-            self.exchange(time + k as f64 * dt / count, dt / count, report)?;
+            if let Err(attempt) = self.exchange(time + k as f64 * dt / count, dt / count, report)? {
+                return Ok(Err(attempt));
+            }
         }
-        Ok(())
+        Ok(Ok(()))
     }
 
     /// Coupling steps per frame.
@@ -298,58 +341,65 @@ impl Solver {
         (self.config.frame_dt / self.config.coupling_step - 1e-9).ceil().max(1.0) as u64
     }
 
-    /// One exchange between mechanics and heat, repeated with smaller substeps if it fails (§9.3).
-    fn exchange(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<(), SimError> {
+    /// One exchange between mechanics and heat.
+    fn exchange(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<Result<(), (u64, f64)>, SimError> {
         if self.config.mechanics {
-            self.move_points(time, dt, report)?;
+            self.mechanics.time = time;
+            let (found, attempt) = self.substeps(dt)?;
+            let health = Health::of(&self.particles);
+            let broken = found.repairs.non_finite + health.broken > 0;
+            // Speeds beyond half a cell per substep are a symptom of a step that is too long, and so may be points that leave
+            // the density range. Shorter steps get a chance; what they do not cure is real and stays, counted.
+            let hasty = found.repairs.capped > 0 && !self.caution.exhausted();
+            let strayed = health.strayed > report.strayed && self.caution.factor == 1.0;
+            if broken || hasty || strayed {
+                return Ok(Err(attempt));
+            }
+            report.repairs += found.repairs;
+            report.capped_energy += found.energy_removed;
+            report.max_speed = report.max_speed.max(found.max_speed);
+            report.substeps += attempt.0;
+            report.substep_min = report.substep_min.min(attempt.1);
+            report.strayed = health.strayed;
+            self.caution.relax();
         }
         self.particles.sort();
-        let audit = self.heat(time, dt)?;
-        report.audit(&audit);
+        let parts = self.cautious_heat.parts;
+        let part = dt / f64::from(parts);
+        for k in 0..parts {
+            let audit = self.heat(time + f64::from(k) * part, part)?;
+            report.audit(&audit);
+        }
+        let clamped = self.keep_temperatures(report);
+        self.cautious_heat.after(clamped);
         self.update_phases();
         report.coupling_steps += 1;
-        Ok(())
+        Ok(Ok(()))
     }
 
-    fn move_points(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<(), SimError> {
-        let backup = self.particles.clone();
-        let mut failures = 0;
-        loop {
-            self.mechanics.time = time;
-            let (found, step) = self.substeps(dt)?;
-            let broken = found.repairs.non_finite > 0;
-            // Speeds beyond half a cell per substep are a symptom of a step that is too long; give it the same chances, but
-            // a point that is still too fast after them is real and stays capped.
-            let hasty = found.repairs.capped > 0 && failures < MAX_FAILURES;
-            if !broken && !hasty {
-                report.repairs += found.repairs;
-                report.max_speed = report.max_speed.max(found.max_speed);
-                report.substeps += step.0;
-                report.substep_min = report.substep_min.min(step.1);
-                break;
-            }
-            failures += 1;
-            if failures > MAX_FAILURES {
-                return Err(SimError::Unstable { time, what: self.culprit() });
-            }
-            self.particles = backup.clone();
-            self.cautious = (CAUTIOUS_STEPS, self.cautious.1 * 0.5);
-            report.rollbacks += 1;
-        }
-        if self.cautious.0 > 0 {
-            self.cautious.0 -= 1;
-            if self.cautious.0 == 0 {
-                self.cautious.1 = 1.0;
+    /// Puts temperatures outside their range back to its ends and books the heat (§9.3); returns their number.
+    fn keep_temperatures(&mut self, report: &mut FrameReport) -> u64 {
+        let (p, thermal, range) = (&mut self.particles, &self.thermal, self.temperatures);
+        let mut count = 0;
+        for i in 0..p.len() {
+            let t = thermal.temperature(p.material[i], p.enthalpy[i]);
+            if !(range.lowest..=range.highest).contains(&t) {
+                let h = thermal.enthalpy(p.material[i], t.clamp(range.lowest, range.highest));
+                // Tracers follow their neighbours and hold no heat.
+                count += u64::from(p.mass[i] > 0.0);
+                report.temperature_heat += f64::from(p.mass[i]) * (h - p.enthalpy[i]);
+                p.enthalpy[i] = h;
             }
         }
-        Ok(())
+        report.temperatures += count;
+        count
     }
 
     /// The mechanical substeps of one coupling step: what they found, their number and length.
     fn substeps(&mut self, dt: f64) -> Result<(Report, (u64, f64)), SimError> {
         let limit = self.mechanics.time_step(&self.particles, dt);
         // `time_step` uses the default Courant number.
-        let factor = DEFAULT_COURANT / (self.config.courant * self.cautious.1);
+        let factor = DEFAULT_COURANT / (self.config.courant * self.caution.factor);
         let needed = limit.steps as f64 * factor;
         if !needed.is_finite() || needed > MAX_SUBSTEPS as f64 {
             let material = self.particles.material.get(limit.stiffest).map(|&m| self.config.materials[usize::from(m)].name.clone());
@@ -363,21 +413,6 @@ impl Solver {
         let count = needed.ceil().max(1.0) as u64;
         let substep = dt / count as f64;
         Ok((self.mechanics.run(&mut self.particles, count as usize, substep), (count, substep)))
-    }
-
-    /// The first point whose state is not a number, in words.
-    fn culprit(&self) -> String {
-        let p = &self.particles;
-        let bad = (0..p.len()).find(|&i| !p.velocity(i).iter().chain(p.elastic(i).iter().flatten()).all(|v| v.is_finite()));
-        match bad {
-            Some(i) => format!(
-                "point {} of material '{}' has velocity {:?} m/s",
-                p.id[i],
-                self.config.materials[usize::from(p.material[i])].name,
-                p.velocity(i)
-            ),
-            None => "velocities are not finite".into(),
-        }
     }
 
     /// The thermal exchange of one coupling step.
@@ -449,4 +484,41 @@ impl Solver {
             p.set_elastic(i, after);
         }
     }
+}
+
+/// Everything that touches the bodies: their own start, the surroundings, sources and obstacles.
+fn temperature_range(config: &SolverConfig, points: &Points) -> TemperatureRange {
+    let mut range = TemperatureRange::EMPTY;
+    range.include(config.ambient);
+    points.temperature.iter().for_each(|t| range.include(f64::from(*t)));
+    if let AirModel::Film(film) = config.thermal.air {
+        range.include(film.ambient);
+    }
+    for source in &config.sources {
+        let mut values = source.schedule.keyframes.iter().map(|k| k[1]).collect::<Vec<_>>();
+        match &source.kind {
+            SourceKind::Temperature { kelvin } => values.push(*kelvin),
+            SourceKind::Film(film) => values.push(film.ambient),
+            // Power heats or cools without an end.
+            _ => values = vec![0.0, f64::INFINITY],
+        }
+        values.into_iter().for_each(|t| range.include(t));
+    }
+    for collider in &config.colliders {
+        match &collider.thermal {
+            Thermal::Adiabatic => {}
+            Thermal::Fixed { kelvin, keyframes } => {
+                range.include(*kelvin);
+                keyframes.iter().for_each(|k| range.include(k[1]));
+            }
+            Thermal::Conducting(conductor) => {
+                range.include(conductor.kelvin);
+                if conductor.watts != 0.0 {
+                    range.include(0.0);
+                    range.include(f64::INFINITY);
+                }
+            }
+        }
+    }
+    range.widened()
 }

@@ -32,7 +32,7 @@ pub const CASES: &[Case] = &[
 ];
 
 /// A material that melts at 300 K over one kelvin.
-fn wax() -> Material {
+pub(crate) fn wax() -> Material {
     let (shear_modulus, bulk_modulus) = Material::moduli(4e4, 0.3);
     Material {
         name: "test wax".into(),
@@ -59,7 +59,7 @@ fn wax() -> Material {
 }
 
 /// A cube of `cells`³ cells of 2 mm with eight points each, on a floor.
-fn cube(cells: usize, temperature: f32) -> (Grid, Points, Collider) {
+pub(crate) fn cube(cells: usize, temperature: f32) -> (Grid, Points, Collider) {
     let spacing = 2e-3;
     let nodes = cells + 2 * 10;
     let grid = Grid { origin: [0.0; 3], spacing, nodes: [nodes; 3] };
@@ -80,7 +80,7 @@ fn cube(cells: usize, temperature: f32) -> (Grid, Points, Collider) {
     (grid, points, floor)
 }
 
-fn config(grid: Grid, material: Material, sources: Vec<HeatSource>) -> SolverConfig {
+pub(crate) fn config(grid: Grid, material: Material, sources: Vec<HeatSource>) -> SolverConfig {
     SolverConfig {
         grid,
         materials: vec![material],

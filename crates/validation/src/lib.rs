@@ -12,6 +12,7 @@ pub mod mechanics;
 pub mod melting;
 pub mod outcome;
 pub mod page;
+pub mod robustness;
 pub mod run;
 pub mod slumps;
 pub mod splats;
@@ -99,6 +100,7 @@ pub fn cases() -> Vec<Case> {
         coupled::CASES,
         melting::CASES,
         splats::CASES,
+        robustness::CASES,
     ]
     .concat();
     all.sort_by_key(|c| c.id);

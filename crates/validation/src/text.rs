@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-/// Escapes text for HTML and turns `_{…}`, `^{…}`, `_x`, `^x` after a letter, digit or bracket into subscripts and superscripts.
+/// Escapes text for HTML and turns `_{…}`, `^{…}`, `_word`, `^word` after a letter, digit or bracket into subscripts and superscripts.
 pub fn html(text: &str) -> String {
     marked(text, |out, kind, inner| {
         let tag = if kind == '_' { "sub" } else { "sup" };
@@ -28,11 +28,12 @@ fn marked(text: &str, script: impl Fn(&mut String, char, &str)) -> String {
         if (c == '_' || c == '^') && after_symbol {
             let inner: Option<String> = match next {
                 Some('{') => chars[i + 2..].iter().position(|&c| c == '}').map(|n| chars[i + 2..i + 2 + n].iter().collect()),
-                Some(n) if n.is_alphanumeric() || n == '∞' => Some(n.to_string()),
+                Some('∞') => Some("∞".into()),
+                Some(_) => Some(chars[i + 1..].iter().take_while(|c| c.is_alphanumeric()).collect::<String>()).filter(|w| !w.is_empty()),
                 _ => None,
             };
             if let Some(inner) = inner {
-                i += if next == Some('{') { inner.chars().count() + 3 } else { 2 };
+                i += inner.chars().count() + if next == Some('{') { 3 } else { 1 };
                 script(&mut out, c, &escape(&inner));
                 continue;
             }
@@ -116,7 +117,7 @@ mod tests {
     #[test]
     fn formulas_become_subscripts_and_nothing_becomes_markup() {
         assert_eq!(html("T_w < 1 & e^{−λ²}"), "T<sub>w</sub> &lt; 1 &amp; e<sup>−λ²</sup>");
-        assert_eq!(html("c_sub_{2} _x ^{y} 10^{-3}"), "c<sub>s</sub>ub<sub>2</sub> _x ^{y} 10<sup>-3</sup>");
+        assert_eq!(html("c_sub=0 _x ^{y} 10^{-3}"), "c<sub>sub</sub>=0 _x ^{y} 10<sup>-3</sup>");
         assert_eq!(html("x_{open"), "x_{open");
     }
 

@@ -147,6 +147,8 @@ pub struct Report {
     pub max_speed: f64,
     /// Smallest and largest volume ratio J in any substep.
     pub volume_ratio: (f64, f64),
+    /// Kinetic energy taken by the speed cap \[J\].
+    pub energy_removed: f64,
 }
 
 /// The solver: settings, obstacles and the sparse grid.
@@ -217,6 +219,7 @@ impl Mechanics {
             repairs: outcome.repairs,
             max_speed: f64::from(outcome.speed2).sqrt(),
             volume_ratio: (f64::from(outcome.volume.0), f64::from(outcome.volume.1)),
+            energy_removed: outcome.removed,
         }
     }
 

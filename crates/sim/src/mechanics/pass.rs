@@ -46,10 +46,12 @@ pub(crate) struct Outcome {
     pub repairs: Repairs,
     pub speed2: f32,
     pub volume: (f32, f32),
+    /// Kinetic energy taken by the speed cap \[J\].
+    pub removed: f64,
 }
 
 impl Outcome {
-    pub const NEUTRAL: Self = Self { repairs: Repairs::NONE, speed2: 0.0, volume: (f32::INFINITY, 0.0) };
+    pub const NEUTRAL: Self = Self { repairs: Repairs::NONE, speed2: 0.0, volume: (f32::INFINITY, 0.0), removed: 0.0 };
 
     /// Both findings together.
     pub fn merge(self, o: Self) -> Self {
@@ -57,6 +59,7 @@ impl Outcome {
             repairs: self.repairs + o.repairs,
             speed2: self.speed2.max(o.speed2),
             volume: (self.volume.0.min(o.volume.0), self.volume.1.max(o.volume.1)),
+            removed: self.removed + o.removed,
         }
     }
 }
@@ -223,7 +226,7 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
             let (v, c, isolated);
             if GATHER {
                 let r = load_records(s, here);
-                let motion = Motion::new(s, &r, k, &mut outcome, lanes.min(count - at));
+                let motion = Motion::new(s, &r, k, mass, &mut outcome, lanes.min(count - at));
                 (v, c) = (motion.velocity, motion.affine);
                 speed2 = speed2.max(motion.speed2);
                 // Free flight where Σ w m is a small part of ρ Δx³.
@@ -355,7 +358,7 @@ struct Motion<S: Simd> {
 
 impl<S: Simd> Motion<S> {
     #[inline(always)]
-    fn new(s: S, r: &[Lanes<S>; 16], k: &Sweep, outcome: &mut Outcome, valid: usize) -> Self {
+    fn new(s: S, r: &[Lanes<S>; 16], k: &Sweep, mass: Lanes<S>, outcome: &mut Outcome, valid: usize) -> Self {
         let splat = |v: f32| Lanes::<S>::splat(s, v);
         let zero = splat(0.0);
         let mut v = [r[0], r[1], r[2]];
@@ -377,6 +380,10 @@ impl<S: Simd> Motion<S> {
         let fast = speed2.simd_gt(splat(k.speed_cap * k.speed_cap));
         if fast.any_true() {
             outcome.repairs.capped += u64::from(fast.to_bitmask().count_ones());
+            let cap2 = f64::from(k.speed_cap).powi(2);
+            for lane in 0..valid {
+                outcome.removed += 0.5 * f64::from(mass[lane]) * (f64::from(speed2[lane]) - cap2).max(0.0);
+            }
             let scale = fast.select(splat(k.speed_cap) / speed2.sqrt(), splat(1.0));
             v = each3(|a| v[a] * scale);
             speed2 = speed2.min(splat(k.speed_cap * k.speed_cap));

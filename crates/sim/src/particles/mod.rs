@@ -7,6 +7,7 @@ mod sort;
 
 use megas_math::{Mat3, mat3};
 use megas_model::Points;
+use rayon::prelude::*;
 
 use crate::grid::Grid;
 use crate::material::{Law, Material};
@@ -418,6 +419,19 @@ impl Particles {
         let mut out: Vec<(&'static str, &mut [u8])> = Vec::new();
         each_array!(self, unique, name, a => out.push((name, bytemuck::cast_slice_mut(a.as_mut_slice()))));
         out
+    }
+
+    /// Takes over the state of `other` without allocating; both must have the same number of points.
+    pub fn copy_from(&mut self, other: &Self) {
+        if self.len() != other.len() {
+            *self = other.clone();
+            return;
+        }
+        self.grid = other.grid;
+        self.blocks.clone_from(&other.blocks);
+        let pairs: Vec<_> = self.arrays_mut().into_iter().zip(other.arrays()).collect();
+        pairs.into_par_iter().for_each(|((_, to), (_, from))| to.copy_from_slice(from));
+        self.sorted = other.sorted;
     }
 
     /// A hash of every bit of the state, independent of nothing: two runs agree bitwise or the hash differs.

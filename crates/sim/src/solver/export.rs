@@ -4,6 +4,7 @@ use megas_math::Mat3;
 use megas_model::PointFrame;
 use serde::{Deserialize, Serialize};
 
+use super::failure::{Caution, CautiousHeat};
 use super::{SimError, Solver, Totals};
 use crate::particles::Particles;
 use crate::stretch::limit_total;
@@ -22,6 +23,9 @@ pub struct Checkpoint {
     /// Temperatures of the conducting colliders \[K\].
     #[serde(default)]
     pub solids: Vec<f64>,
+    /// The same for the heat.
+    #[serde(default)]
+    pub cautious_heat: CautiousHeat,
 }
 
 impl Solver {
@@ -60,7 +64,8 @@ impl Solver {
             points: self.particles.len() as u64,
             frame: self.frame,
             totals: self.totals.clone(),
-            cautious: self.cautious,
+            cautious: (self.caution.steps, self.caution.factor),
+            cautious_heat: self.cautious_heat,
             solids: self.thermal.solids().temperatures().to_vec(),
         }
     }
@@ -105,7 +110,8 @@ impl Solver {
         self.particles = particles;
         self.frame = checkpoint.frame;
         self.totals = checkpoint.totals;
-        self.cautious = checkpoint.cautious;
+        self.caution = Caution { steps: checkpoint.cautious.0, factor: checkpoint.cautious.1 };
+        self.cautious_heat = checkpoint.cautious_heat;
         Ok(())
     }
 }

@@ -28,6 +28,18 @@ pub struct FrameReport {
     pub repairs: Repairs,
     /// Coupling steps that were repeated with smaller substeps.
     pub rollbacks: u64,
+    /// Kinetic energy taken by the speed cap \[J\].
+    #[serde(default)]
+    pub capped_energy: f64,
+    /// Temperatures put back into the range of everything that touches the bodies.
+    #[serde(default)]
+    pub temperatures: u64,
+    /// Heat that this added \[J\].
+    #[serde(default)]
+    pub temperature_heat: f64,
+    /// Points denser than 1.5 or thinner than 0.5 of their reference at the end. Fragments of a melt may be.
+    #[serde(default)]
+    pub strayed: u64,
     /// `Σ V⁰ det F / Σ V⁰ − 1`, with the reference volumes V⁰ that phase and temperature ask for.
     pub volume_change: f64,
     /// Molten share of the mass that can melt.
@@ -46,6 +58,10 @@ impl Default for FrameReport {
             audit: None,
             repairs: Repairs::default(),
             rollbacks: 0,
+            capped_energy: 0.0,
+            temperatures: 0,
+            temperature_heat: 0.0,
+            strayed: 0,
             volume_change: 0.0,
             liquid_fraction: 0.0,
         }
@@ -96,6 +112,18 @@ pub struct Totals {
     pub repairs: Repairs,
     /// Repeated coupling steps.
     pub rollbacks: u64,
+    /// Kinetic energy taken by the speed cap \[J\].
+    #[serde(default)]
+    pub capped_energy: f64,
+    /// Temperatures put back into their range.
+    #[serde(default)]
+    pub temperatures: u64,
+    /// Heat that this added \[J\].
+    #[serde(default)]
+    pub temperature_heat: f64,
+    /// Most points outside the density range in any frame.
+    #[serde(default)]
+    pub strayed: u64,
     /// Largest |volume change| of any frame.
     pub volume_change: f64,
     /// Largest speed \[m/s\].
@@ -107,6 +135,10 @@ impl Totals {
         self.substeps += frame.substeps;
         self.repairs += frame.repairs;
         self.rollbacks += frame.rollbacks;
+        self.capped_energy += frame.capped_energy;
+        self.temperatures += frame.temperatures;
+        self.temperature_heat += frame.temperature_heat;
+        self.strayed = self.strayed.max(frame.strayed);
         self.volume_change = self.volume_change.max(frame.volume_change.abs());
         self.max_speed = self.max_speed.max(frame.max_speed);
         match (&mut self.audit, &frame.audit) {
