@@ -1,5 +1,7 @@
 //! Stage one: from the input to bodies that can be simulated.
 
+mod still;
+
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -96,6 +98,9 @@ pub fn scene_objects(scene: &Scene) -> Vec<Object> {
 pub fn build(loaded: &LoadedScene, file: Option<&Path>, sink: &dyn Sink) -> Result<(Bodies, Value), Failure> {
     let scene = &loaded.scene;
     let objects = scene_objects(scene);
+    if !scene.input.bodies.is_empty() {
+        return still::build(loaded, &objects, sink);
+    }
     match (file, &scene.input.asset) {
         (Some(file), _) => from_file(scene, file, &objects, sink),
         (None, Some(_)) => from_asset(scene, &objects, sink),
@@ -261,7 +266,7 @@ fn tame_highlights(splats: &mut Splats) {
 enum Source {
     /// A file; the lowest height of the objects in the filling frame.
     File { bottom: f64 },
-    /// The embedded asset, whose every splat is known to lie on the surface.
+    /// The embedded asset or procedural bodies, whose every splat is known to lie on the surface.
     Asset,
 }
 

@@ -85,6 +85,9 @@ fn bodies(loaded: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Fi
     if let Some(file) = &path {
         key = key.file(file)?;
     }
+    for mesh in s.input.bodies.iter().filter_map(|b| b.mesh.as_ref()) {
+        key = key.file(&loaded.base_dir.join(mesh))?;
+    }
     let key = key.finish();
     let (stage, found) = StageDir::open(options, "body", key.clone())?;
     if let Found::Done(figures) = found {

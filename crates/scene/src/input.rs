@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::shape::BoxShape;
+use crate::still::{InputBody, Table};
 use crate::value::Up;
 
 /// Where the splats come from: a file, photographs, or an embedded asset.
@@ -19,6 +20,12 @@ pub struct Input {
     /// Name of an embedded asset, e.g. "ice-cream".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub asset: Option<String>,
+    /// Procedural bodies, for scenes without a capture, in metres; +z is up and z = 0 is the top of the table they stand on.
+    #[serde(rename = "body", skip_serializing_if = "Vec::is_empty")]
+    pub bodies: Vec<InputBody>,
+    /// The table under procedural bodies.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub table: Option<Table>,
     /// The direction that points up in the file: "+x", "-x", "+y", "-y", "+z", "-z", or three numbers. Many captured splats are "-y".
     pub up: Up,
     /// How to train splats on the photographs of `capture`.
@@ -30,6 +37,12 @@ pub struct Input {
 }
 
 impl Input {
+    /// Corners of the box around the procedural bodies for which `chosen` holds \[m\]; `None` without any.
+    pub fn bodies_box(&self, chosen: impl Fn(&InputBody) -> bool) -> Option<([f64; 3], [f64; 3])> {
+        let boxes = self.bodies.iter().filter(|b| chosen(b)).map(InputBody::bounds);
+        boxes.reduce(|a, b| (megas_math::vec3::min(a.0, b.0), megas_math::vec3::max(a.1, b.1)))
+    }
+
     /// The fine-tuning that is asked for, if any.
     pub fn finetuning(&self) -> Option<FinetuneSettings> {
         match &self.finetune {

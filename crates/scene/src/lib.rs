@@ -27,6 +27,7 @@ mod schema;
 mod semantic;
 mod settings;
 mod shape;
+mod still;
 mod value;
 
 pub use camera::{Camera, CameraKey, Orbit};
@@ -45,6 +46,7 @@ pub use settings::{
     Air, AirMode, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Push, Quality, Simulation, Skin, Time,
 };
 pub use shape::{BoxShape, Frame, HalfSpace, HeightShape, MeshShape, Placement, Plane, Sphere, Tube};
+pub use still::{BodyForm, InputBody, Pattern, Table};
 pub use value::{Auto, Colour, Up};
 
 /// Offset between degrees Celsius (scene files) and kelvin (everything inside).

@@ -17,6 +17,7 @@ use crate::material_checks::StepLimits;
 use crate::object::Object;
 use crate::output::Output;
 use crate::settings::{Air, Fill, HeatTransfer, PhaseMode, Preset, Quality, Simulation, Skin, Time};
+use crate::still::InputBody;
 use crate::{CELSIUS_K, presets, semantic};
 
 /// Real size of the objects when nobody says one \[m\].
@@ -136,7 +137,12 @@ impl Scene {
 
     /// The objects, or the one object of everything. For an asset the asset's own objects go before this default.
     pub fn objects_or_default(&self) -> Vec<Object> {
-        if self.objects.is_empty() { vec![Object::default()] } else { self.objects.clone() }
+        if !self.objects.is_empty() {
+            return self.objects.clone();
+        }
+        let of_body = |b: &InputBody| Object { name: b.name.clone(), parts: vec![b.name.clone()], ..Object::default() };
+        let own: Vec<Object> = self.input.bodies.iter().map(of_body).collect();
+        if own.is_empty() { vec![Object::default()] } else { own }
     }
 
     /// The heat sources in use: melting from above if the scene does not mention heat.
@@ -151,6 +157,10 @@ impl Scene {
 
     /// Real size \[m\] and which object (index into `objects`) has it; `None` = all objects together.
     pub fn size_m(&self) -> (f64, Option<usize>) {
+        let moves = |b: &InputBody| self.objects.is_empty() || self.objects.iter().any(|o| o.parts.contains(&b.name));
+        if let Some((lo, hi)) = self.input.bodies_box(moves) {
+            return ((0..3).map(|a| hi[a] - lo[a]).fold(0.0, f64::max), None);
+        }
         let given = self.objects.iter().enumerate().find_map(|(i, o)| o.size_m.map(|s| (s, Some(i))));
         given.unwrap_or((DEFAULT_SIZE_M, None))
     }

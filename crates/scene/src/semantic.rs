@@ -5,10 +5,12 @@ use crate::check::Step;
 use crate::collider::{Collider, ColliderShape};
 use crate::diagnostic::suggestion;
 use crate::heat::{Heat, HeatKind, MotionKey, Region};
+use crate::input::Input;
 use crate::object::{Object, Select};
 use crate::presets::material_presets;
 use crate::scene::Scene;
 use crate::shape::{BoxShape, MeshShape, Tube};
+use crate::still::BodyForm;
 
 /// Something wrong, and where.
 pub(crate) struct Problem {
@@ -66,7 +68,11 @@ fn input(scene: &Scene, r: &mut Report) {
     let sources = [("splat", &i.splat), ("capture", &i.capture), ("asset", &i.asset)];
     let given: Vec<&str> = sources.iter().filter(|s| s.1.is_some()).map(|s| s.0).collect();
     match given[..] {
-        [] => r.say("input", "input: give splat = \"file.ply\", capture = \"photographs\" or asset = \"ice-cream\""),
+        [] if !i.bodies.is_empty() => {}
+        [] => r.say("input", "input: give splat = \"file.ply\", capture = \"photographs\", asset = \"ice-cream\" or [[input.body]]"),
+        [other, ..] if !i.bodies.is_empty() => {
+            r.inside("input", None, |r| r.say(other, format!("input: give either {other} or [[input.body]], not both")));
+        }
         [_] => {}
         [.., last] => {
             r.inside("input", None, |r| r.say(last, "input: give one of splat (a file), capture (photographs) and asset (embedded)"));
@@ -86,7 +92,33 @@ fn input(scene: &Scene, r: &mut Report) {
     if let Some(b) = i.reconstruct.as_ref().and_then(|t| t.object_box.as_ref()) {
         r.inside("input", None, |r| r.inside("reconstruct", None, |r| r.inside("object_box", None, |r| boxed(b, r))));
     }
+    if i.table.is_some() && i.bodies.is_empty() {
+        r.say("input.table", "input.table stands under procedural bodies; it needs [[input.body]]");
+    }
+    bodies(i, r);
     direction(i.up.0, "input.up", r);
+}
+
+fn bodies(i: &Input, r: &mut Report) {
+    r.inside("input", None, |r| {
+        unique(i.bodies.iter().map(|b| b.name.as_str()), "body", r);
+        for (k, b) in i.bodies.iter().enumerate() {
+            r.inside("body", Some(k), |r| {
+                let [x, y, z] = b.size_m;
+                if !b.size_m.iter().all(|s| (1e-4..=100.0).contains(s)) {
+                    r.say("size_m", format!("input.body.size_m = [{x}, {y}, {z}]: every side must be 0.0001 to 100 metres"));
+                }
+                if b.form == BodyForm::Torus && z >= 0.5 * x {
+                    r.say("size_m", format!("input.body.size_m: a ring of {x} m must be thinner than {} m, not {z} m", 0.5 * x));
+                }
+                match (b.form == BodyForm::Mesh, b.mesh.is_some()) {
+                    (true, false) => r.say("form", "input.body: form = \"mesh\" needs mesh = \"file.ply\""),
+                    (false, true) => r.say("mesh", "input.body.mesh is for form = \"mesh\""),
+                    _ => {}
+                }
+            });
+        }
+    });
 }
 
 fn direction(d: [f64; 3], key: &str, r: &mut Report) {
@@ -124,8 +156,22 @@ fn object<'s>(scene: &'s Scene, o: &'s Object, sized: &mut Option<&'s str>, r: &
     if o.select.is_some() && !o.parts.is_empty() {
         r.say("parts", "object: give either select or parts, not both");
     }
-    if !o.parts.is_empty() && scene.input.asset.is_none() {
-        r.say("parts", "object.parts names parts of an embedded asset; for a splat file use select");
+    let bodies: Vec<&str> = scene.input.bodies.iter().map(|b| b.name.as_str()).collect();
+    if !o.parts.is_empty() && scene.input.asset.is_none() && bodies.is_empty() {
+        r.say("parts", "object.parts names parts of an embedded asset or procedural bodies; for a splat file use select");
+    }
+    if !bodies.is_empty() {
+        if o.select.is_some() {
+            r.say("select", "object.select chooses splats of a file; procedural bodies are named by parts");
+        } else if o.parts.is_empty() {
+            r.say("name", format!("object \"{}\": parts must name bodies of the input ({})", o.name, bodies.join(", ")));
+        }
+        if o.size_m.is_some() {
+            r.say("size_m", "object.size_m is for captures; procedural bodies have their size in [[input.body]]");
+        }
+        for p in o.parts.iter().filter(|p| !bodies.contains(&p.as_str())) {
+            r.say("parts", format!("object.parts: there is no input body \"{p}\"{}", suggestion(p, &bodies)));
+        }
     }
     if scene.material(&o.material).is_none() {
         let known: Vec<&str> = scene.materials.keys().map(String::as_str).chain(material_presets().iter().map(|p| p.name)).collect();
@@ -237,7 +283,7 @@ fn heat(scene: &Scene, h: &Heat, r: &mut Report) {
         Region::Object(name) | Region::Surface(name) => {
             let known: Vec<&str> = scene.objects.iter().map(|o| o.name.as_str()).chain(["all"]).collect();
             // The objects of an asset are not known here; the asset checks its own names.
-            let own_objects = scene.objects.is_empty() && scene.input.asset.is_some();
+            let own_objects = scene.objects.is_empty() && (scene.input.asset.is_some() || !scene.input.bodies.is_empty());
             if !own_objects && !known.contains(&name.as_str()) {
                 r.say("region", format!("heat.region: there is no object \"{name}\"{}", suggestion(name, &known)));
             }

@@ -6,7 +6,7 @@ use megas_model::Points;
 use megas_sim::collider::{Collider, Shape};
 use megas_sim::grid::Grid;
 use megas_sim::mechanics::material_point;
-use megas_sim::particles::{FIXED_COROTATED, FLUID, HENCKY};
+use megas_sim::particles::{DRUCKER_PRAGER, FIXED_COROTATED, FLUID, HENCKY, NEO_HOOKEAN, NEO_HOOKEAN_SPLIT, VON_MISES};
 use megas_sim::reference::Law;
 use megas_sim::solver::{SimError, Solver, SolverConfig, repaired};
 use megas_sim::source::{HeatSource, Motion, Region, Schedule, SourceKind};
@@ -48,9 +48,18 @@ fn random_gradients() -> u32 {
         }
         let f = mat3::mul(mat3::mul(u, mat3::diag(s)), mat3::transpose(v));
         let h: Mat3<f32> = mat3::cast(mat3::sub(f, mat3::identity()));
-        for law in [HENCKY, FIXED_COROTATED, FLUID] {
+        // Each law with a constant of its own kind: hardening, friction, largest J.
+        for (law, constant) in [
+            (HENCKY, 0.0),
+            (FIXED_COROTATED, 0.0),
+            (FLUID, 1.001),
+            (NEO_HOOKEAN, 0.0),
+            (NEO_HOOKEAN_SPLIT, 0.0),
+            (VON_MISES, 100.0),
+            (DRUCKER_PRAGER, 0.3),
+        ] {
             for (yield_stress, viscosity, exponent) in [(f32::INFINITY, 0.0, 1.0), (10.0, 5.0, 0.5), (0.0, 1.0, 1.0), (50.0, 0.0, 1.0)] {
-                let law = Law { law, shear: 1e4, bulk: 3e4, yield_stress, viscosity, exponent };
+                let law = Law { law, shear: 1e4, bulk: 3e4, yield_stress, viscosity, exponent, constant };
                 let (after, tau) = material_point(&law, h, 1e-4);
                 bad += u32::from(!after.iter().chain(&tau).flatten().all(|x| x.is_finite()));
             }

@@ -12,6 +12,7 @@ mod primitives;
 mod shapes;
 mod solid;
 mod sprinkle;
+mod still_life;
 mod sundae;
 mod sundae_colour;
 
@@ -21,4 +22,5 @@ pub use photograph::{camera_rig, photograph};
 pub use shapes::{Shape, Shell};
 pub use solid::{Hit, Solid, volume};
 pub use sprinkle::Sprinkle;
+pub use still_life::{Form, Mixture, StillLife, Thing};
 pub use sundae::{METRES_PER_UNIT, Part, Sundae, TABLE_HEIGHT, TABLE_RADIUS};

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     blue_noise::{SurfacePoint, blue_noise, neighbours},
+    light::{Finish, Light},
     shapes::disc_rotation,
     solid::{Solid, gradient},
     sundae::{Part, Sundae},
@@ -53,6 +54,36 @@ impl Solid for Body<'_> {
     }
 }
 
+/// A body under light.
+pub(super) trait Lit: Solid {
+    /// The light.
+    fn light(&self) -> &Light;
+    /// Number and finish of the part at a point of the surface.
+    fn look(&self, x: Vec3<f32>) -> (u16, Finish);
+    /// Unlit colour of a part at a point.
+    fn colour(&self, x: Vec3<f32>, part: u16) -> [f32; 3];
+}
+
+impl Lit for Body<'_> {
+    fn light(&self) -> &Light {
+        self.scene.light()
+    }
+
+    fn look(&self, x: Vec3<f32>) -> (u16, Finish) {
+        let part = match self.scene.part(x) {
+            _ if self.table => Part::Table,
+            // The bowl's underside touches the table top.
+            Part::Table => Part::Bowl,
+            other => other,
+        };
+        (part as u16, sundae_colour::finish(part))
+    }
+
+    fn colour(&self, x: Vec3<f32>, part: u16) -> [f32; 3] {
+        sundae_colour::albedo(self.scene, x, Part::ALL[usize::from(part)])
+    }
+}
+
 impl Sundae {
     /// Covers object (closed, bottom included) and table with one layer of discs: oriented to the outside, coloured as
     /// photographs show them, `object_id` = [`Part`]. The object comes first, then the table.
@@ -62,57 +93,54 @@ impl Sundae {
         for table in [false, true] {
             let body = Body { scene: self, table };
             let spacing = if table { settings.table_spacing } else { settings.spacing };
-            let points = blue_noise(&body, spacing, settings.seed + u64::from(table));
-            let dots: Vec<Dot> = points.par_iter().map(|p| self.dot(&body, p, spacing * settings.size, &fit)).collect();
-            let logit = logit(settings.opacity);
-            let s = (spacing * settings.size).ln();
-            let first = out.len();
-            for (p, dot) in points.iter().zip(&dots) {
-                out.push(p.position, [s, s, s - 5f32.ln()], disc_rotation(p.normal), logit, &dot.sh);
-                let last = out.len() - 1;
-                out.object_id[last] = dot.part as u16;
-                out.normal_sign[last] = 1;
-            }
-            sharpen(&mut out, first, &points, spacing, spacing * settings.size);
+            cover(&body, spacing, settings.seed + u64::from(table), settings, &fit, &mut out);
         }
         out
     }
+}
 
-    /// Part and colour of a disc of standard deviation `s`: albedo and relief averaged over the disc, light taken at its centre.
-    fn dot(&self, body: &Body, p: &SurfacePoint, s: f32, fit: &Fit) -> Dot {
-        let part = if body.table { Part::Table } else { self.part_on_surface(p.position) };
-        let finish = sundae_colour::finish(part);
-        let lit = self.light().receive(p.position, p.normal);
-        let (a, b) = vec3::frame_from_normal(p.normal);
-        let taps: [(Vec3<f32>, [f32; 3]); 4] = std::array::from_fn(|k| {
-            let (u, v) = [(0.6, 0.25), (-0.25, 0.6), (-0.6, -0.25), (0.25, -0.6)][k];
-            let x = vec3::add_scaled(vec3::add_scaled(p.position, a, u * s), b, v * s);
-            let n = gradient(|x| body.sdf(x), x, 1e-3);
-            (n, sundae_colour::albedo(self, x, part))
-        });
-        let colour = |d: Vec3<f32>| {
-            let sum = taps.iter().fold([0.0; 3], |sum, &(n, c)| vec3::add(sum, self.light().shade(&lit, n, d, c, finish)));
-            vec3::scale(sum, 0.25)
-        };
-        let view_dependent = finish.gloss > 0.2 && fit.degree > 0;
-        let coefficients = if view_dependent {
-            fit.apply(p.normal, colour)
-        } else {
-            let mut sh = vec![0.0; sh::coefficients(fit.degree) * 3];
-            let rgb = colour(vec3::scale(p.normal, -1.0));
-            sh[..3].copy_from_slice(&rgb.map(sh::dc_from_rgb));
-            sh
-        };
-        Dot { part, sh: coefficients }
+/// Adds one layer of discs on a body, their numbers in `object_id`.
+pub(super) fn cover(body: &impl Lit, spacing: f32, seed: u64, settings: &Sprinkle, fit: &Fit, out: &mut Splats) {
+    let points = blue_noise(body, spacing, seed);
+    let size = spacing * settings.size;
+    let dots: Vec<Dot> = points.par_iter().map(|p| dot(body, p, size, fit)).collect();
+    let logit = logit(settings.opacity);
+    let s = size.ln();
+    let first = out.len();
+    for (p, dot) in points.iter().zip(&dots) {
+        out.push(p.position, [s, s, s - 5f32.ln()], disc_rotation(p.normal), logit, &dot.sh);
+        let last = out.len() - 1;
+        out.object_id[last] = dot.part;
+        out.normal_sign[last] = 1;
     }
+    sharpen(out, first, &points, spacing, size);
+}
 
-    fn part_on_surface(&self, x: Vec3<f32>) -> Part {
-        match self.part(x) {
-            // The bowl's underside touches the table top.
-            Part::Table => Part::Bowl,
-            other => other,
-        }
-    }
+/// Part and colour of a disc of standard deviation `s`: albedo and relief averaged over the disc, light taken at its centre.
+fn dot(body: &impl Lit, p: &SurfacePoint, s: f32, fit: &Fit) -> Dot {
+    let (part, finish) = body.look(p.position);
+    let lit = body.light().receive(p.position, p.normal);
+    let (a, b) = vec3::frame_from_normal(p.normal);
+    let taps: [(Vec3<f32>, [f32; 3]); 4] = std::array::from_fn(|k| {
+        let (u, v) = [(0.6, 0.25), (-0.25, 0.6), (-0.6, -0.25), (0.25, -0.6)][k];
+        let x = vec3::add_scaled(vec3::add_scaled(p.position, a, u * s), b, v * s);
+        let n = gradient(|x| body.sdf(x), x, 1e-3);
+        (n, body.colour(x, part))
+    });
+    let colour = |d: Vec3<f32>| {
+        let sum = taps.iter().fold([0.0; 3], |sum, &(n, c)| vec3::add(sum, body.light().shade(&lit, n, d, c, finish)));
+        vec3::scale(sum, 0.25)
+    };
+    let view_dependent = finish.gloss > 0.2 && fit.degree > 0;
+    let coefficients = if view_dependent {
+        fit.apply(p.normal, colour)
+    } else {
+        let mut sh = vec![0.0; sh::coefficients(fit.degree) * 3];
+        let rgb = colour(vec3::scale(p.normal, -1.0));
+        sh[..3].copy_from_slice(&rgb.map(sh::dc_from_rgb));
+        sh
+    };
+    Dot { part, sh: coefficients }
 }
 
 /// Discs blend with their neighbours, which blurs what they show. Van Cittert's iteration on the base colours undoes that as
@@ -161,12 +189,12 @@ fn sharpen(splats: &mut Splats, first: usize, points: &[SurfacePoint], spacing: 
 }
 
 struct Dot {
-    part: Part,
+    part: u16,
     sh: Vec<f32>,
 }
 
 /// Least-squares fit of spherical harmonics to a colour known on the front side of a disc, in the frame of its normal.
-struct Fit {
+pub(super) struct Fit {
     degree: u8,
     directions: Vec<Vec3<f32>>,
     /// Coefficients = `inverse` (n × directions) · values.
@@ -175,7 +203,7 @@ struct Fit {
 
 impl Fit {
     /// Directions are those from the camera; the back is asked, weakly, for the mean of the front.
-    fn new(degree: u8) -> Self {
+    pub fn new(degree: u8) -> Self {
         let directions = fibonacci_directions(64);
         let n = sh::coefficients(degree);
         let basis: Vec<[f64; 16]> = directions.iter().map(|d| sh::basis(d.map(f64::from))).collect();

@@ -381,7 +381,7 @@ fn bowl_and_fill(x: Vec3<f32>) -> (f32, f32) {
 }
 
 /// The table: a round top on a turned foot.
-fn table(x: Vec3<f32>) -> f32 {
+pub(super) fn table(x: Vec3<f32>) -> f32 {
     let top = disc(x, TABLE_RADIUS, -0.13, TABLE_HEIGHT, 0.045);
     let r = (x[0] * x[0] + x[1] * x[1]).sqrt();
     let z = x[2];

@@ -82,7 +82,7 @@ fn rolled_wafer(x: Vec3<f32>) -> [f32; 3] {
 }
 
 /// Oak boards with rings, pores, seams and a tone of their own.
-fn wood(x: Vec3<f32>) -> [f32; 3] {
+pub fn wood(x: Vec3<f32>) -> [f32; 3] {
     const BOARD: f32 = 0.474;
     let v = x[1] / BOARD + 0.5;
     let board = if x[2] > -0.2 { v.floor() } else { 20.0 };
