@@ -1,5 +1,6 @@
 //! Benchmark scenes: one JSON line on standard output, nothing else (see `--help`).
 
+mod c1;
 mod lattice;
 mod m1;
 mod s1;
@@ -17,6 +18,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Scene {
+    /// The whole simulator on a melting torus: cost against matter and against the empty box
+    C1(c1::Args),
     /// Lattice Boltzmann air in a periodic box, flow alone
     L1(lattice::Args),
     /// Lattice Boltzmann air in a periodic box, flow and temperature
@@ -31,6 +34,7 @@ enum Scene {
 
 fn main() {
     let line = match Cli::parse().scene {
+        Scene::C1(args) => c1::run(&args).to_string(),
         Scene::L1(args) => lattice::run(&args, false),
         Scene::L2(args) => lattice::run(&args, true),
         Scene::M1(args) => m1::run(&args),

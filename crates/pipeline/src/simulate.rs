@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use megas_model::{FLAG_SPLAT, PointFrame};
-use megas_sim::solver::{Checkpoint, FrameReport, Solver, Totals, repaired};
+use megas_sim::solver::{Checkpoint, FrameReport, SimError, Solver, Totals, repaired};
 use serde_json::{Value, json};
 
 use crate::body::Bodies;
@@ -38,7 +38,7 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
         )));
     }
     let total = frames(loaded);
-    let fail = |e: megas_sim::solver::SimError| Failure::Input(e.to_string());
+    let fail = |e: SimError| failure(e, bodies);
     let mut solver = Solver::new(config, &bodies.points).map_err(fail)?;
     let mut moving = false;
     for (k, o) in crate::body::scene_objects(&loaded.scene).iter().enumerate() {
@@ -70,7 +70,7 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
                 solver.frames_done()
             )));
         };
-        warn_about(&report, sink);
+        warn_about(&report, bodies.points.len(), sink);
         let frame = solver.export();
         write_frame(&stage.path, report.frame, &frame, Some(&report))?;
         if report.frame % CHECKPOINT_EVERY == 0 || report.frame + 1 == total {
@@ -92,6 +92,16 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     Ok(figures)
 }
 
+/// An error of the solver; what became unstable is told with the name of its object, which the solver does not know.
+fn failure(e: SimError, bodies: &Bodies) -> Failure {
+    if let SimError::Unstable { culprit, .. } = &e
+        && let Some(object) = bodies.meta.objects.iter().find(|o| o.number == culprit.object)
+    {
+        return Failure::Input(format!("{e} (object {} is '{}')", culprit.object, object.name));
+    }
+    Failure::Input(e.to_string())
+}
+
 fn figures(totals: &Totals, frames: u64, bodies: &Bodies, acceleration: f64) -> Value {
     json!({
         "frames": frames,
@@ -102,12 +112,15 @@ fn figures(totals: &Totals, frames: u64, bodies: &Bodies, acceleration: f64) -> 
         "volume_change": totals.volume_change,
         "repairs": repaired(&totals.repairs),
         "rollbacks": totals.rollbacks,
+        "temperatures_put_right": totals.temperatures,
+        "points_out_of_density_range": totals.strayed,
+        "energy_removed_j": totals.capped_energy,
         "max_speed_m_s": totals.max_speed,
         "thermal_acceleration": acceleration,
     })
 }
 
-fn warn_about(report: &FrameReport, sink: &dyn Sink) {
+fn warn_about(report: &FrameReport, points: usize, sink: &dyn Sink) {
     if report.rollbacks > 0 {
         sink.event(Event::Warning(&format!(
             "frame {}: {} coupling steps were repeated with smaller time steps",
@@ -117,6 +130,19 @@ fn warn_about(report: &FrameReport, sink: &dyn Sink) {
     let repairs = repaired(&report.repairs);
     if repairs > 0 {
         sink.event(Event::Warning(&format!("frame {}: {repairs} points were repaired ({:?})", report.frame, report.repairs)));
+    }
+    if report.repairs.degenerate * 1000 > points as u64 {
+        sink.event(Event::Warning(&format!(
+            "frame {}: {} deformation gradients were repaired, more than 0.1 % of the points: a material is too soft or the time step \
+             too long (sag_ratio, courant)",
+            report.frame, report.repairs.degenerate
+        )));
+    }
+    if report.temperatures > 0 {
+        sink.event(Event::Warning(&format!(
+            "frame {}: {} temperatures were beyond everything that touches the bodies and were put right ({:.1e} J)",
+            report.frame, report.temperatures, report.temperature_heat
+        )));
     }
     if report.volume_change.abs() > 0.03 {
         sink.event(Event::Warning(&format!(
