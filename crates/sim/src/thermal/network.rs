@@ -408,7 +408,6 @@ impl Network {
             return None;
         }
         if self.around.is_some() {
-            let o = o as usize;
             if self.is_thin(s) || self.is_thin(o) {
                 return None;
             }
