@@ -40,7 +40,7 @@ pub enum Pattern {
     Plain,
 }
 
-/// A procedural body. Objects take bodies by name through `parts`; without any [[object]], every body is an object of its own.
+/// A procedural body. Objects take bodies by name through `parts`; without any `object`, every body is an object of its own.
 /// Bodies of no object stand still as background.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
