@@ -1,6 +1,6 @@
 //! Air that conducts and flows: lattice Boltzmann (simulation.md §3.5–§4.9).
 //!
-//! [`Lattice`] advances a box of air in lattice units; `room` couples it to the material in SI; [`reference`] is the slow oracle over the same node types.
+//! [`Lattice`] advances a box of air in lattice units; `room` couples it to the material in SI; `reference` is the slow oracle over the same node types.
 
 mod boundaries;
 mod d3q19;
