@@ -1,10 +1,11 @@
 //! Deformed points to a renderable surface: covariance push-forward, polar rotation for appearance, rebase, needle clamp
-//! the implicit surface between oriented samples, and the densification that seals cracks (splatting.md §7, §8).
+//! the implicit surface between oriented samples, the densification that seals cracks, and closed meshes (splatting.md §7, §8).
 
 mod bake;
 mod clamp;
 pub mod densify;
 pub mod imls;
+pub mod mesh;
 mod push;
 mod rows;
 mod skin;
