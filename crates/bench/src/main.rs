@@ -3,6 +3,7 @@
 mod c1;
 mod lattice;
 mod m1;
+mod r1;
 mod s1;
 mod t1;
 mod timing;
@@ -26,6 +27,8 @@ enum Scene {
     L2(lattice::Args),
     /// MLS-MPM/APIC block in a unit box
     M1(m1::Args),
+    /// A mesh around the particles of m1
+    R1(r1::Args),
     /// Rasterization of random Gaussians, forward and backward
     S1(s1::Args),
     /// Training iterations on the synthetic ice cream
@@ -38,6 +41,7 @@ fn main() {
         Scene::L1(args) => lattice::run(&args, false),
         Scene::L2(args) => lattice::run(&args, true),
         Scene::M1(args) => m1::run(&args),
+        Scene::R1(args) => r1::run(&args),
         Scene::S1(args) => s1::run(&args),
         Scene::T1(args) => t1::run(&args),
     };
