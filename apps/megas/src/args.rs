@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand};
 
+use megas_scene::{Appearance, Clip, Frame, MeshKind, Scene};
+
 use crate::train_args::{FinetuneArgs, ReconstructArgs, StudyArgs};
 
 /// Melt, freeze and heat real scenes: photographs or splats in, film out.
@@ -92,8 +94,9 @@ pub enum Command {
     #[command(after_help = "Example:\n  megas simulate donut.toml -o out")]
     Simulate(SceneArgs),
     /// Third stage: pictures and films of the melt (runs the stages before where needed).
-    #[command(after_help = "Example:\n  megas render donut.toml -o out")]
-    Render(SceneArgs),
+    #[command(after_help = "Examples:\n  megas render donut.toml -o out\n  megas render donut.toml -o out --mesh ply,glb --force\n  \
+                            megas render donut.toml -o out --clip 0.5,0.5,0.5,0,-1,0 --force")]
+    Render(RenderArgs),
     /// Print the JSON Schema of scene files, for editors with completion.
     #[command(after_help = "Example:\n  megas schema > scene.schema.json")]
     Schema,
@@ -144,6 +147,58 @@ pub struct SceneArgs {
     /// Where results go.
     #[command(flatten)]
     pub output: Output,
+}
+
+/// Arguments of `render`: a scene, and what to show of it instead of what the file says.
+#[derive(Args, Clone, Debug)]
+pub struct RenderArgs {
+    /// The scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// Write meshes of the objects: ply, obj, glb; the same as `mesh = ["ply"]` in [output].
+    #[arg(long, value_name = "FORMAT,…", value_delimiter = ',', value_parser = mesh_kind)]
+    pub mesh: Vec<MeshKind>,
+    /// Cut the pictures open at a plane: a point (0–1 along the objects' box, z up) and the direction that is cut away.
+    #[arg(long, value_name = "X,Y,Z,NX,NY,NZ", value_parser = clip, allow_hyphen_values = true)]
+    pub clip: Option<Clip>,
+    /// No glow and no wetness: only the colours of the input.
+    #[arg(long)]
+    pub plain: bool,
+}
+
+impl RenderArgs {
+    /// Puts what was typed into the scene.
+    pub fn apply(&self, scene: &mut Scene) {
+        let o = &mut scene.output;
+        if !self.mesh.is_empty() {
+            o.mesh = self.mesh.clone();
+        }
+        if self.clip.is_some() {
+            o.clip = self.clip;
+        }
+        if self.plain {
+            o.appearance = Some(Appearance { glow: 0.0, wet: 0.0, ..Appearance::default() });
+        }
+    }
+}
+
+fn mesh_kind(text: &str) -> Result<MeshKind, String> {
+    match text {
+        "ply" => Ok(MeshKind::Ply),
+        "obj" => Ok(MeshKind::Obj),
+        "glb" => Ok(MeshKind::Glb),
+        _ => Err("write ply, obj or glb".into()),
+    }
+}
+
+fn clip(text: &str) -> Result<Clip, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|w| w.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z, nx, ny, nz]) if [nx, ny, nz] != [0.0; 3] => {
+            Ok(Clip { point: [x, y, z], normal: [nx, ny, nz], frame: Frame::Object })
+        }
+        _ => Err("write six numbers X,Y,Z,NX,NY,NZ, the last three not all zero".into()),
+    }
 }
 
 /// Where results go, or whether they go anywhere.
@@ -204,6 +259,15 @@ mod tests {
         assert!(matches!(cli.command, Command::Run(a) if a.output.folder("x") == Path::new("d") && !a.output.dry_run));
         let cli = Cli::try_parse_from(["megas", "demo", "-q"]).unwrap();
         assert!(matches!(cli.command, Command::Demo { output, .. } if output.folder("demo") == Path::new("megas-out/demo")));
+        let cli =
+            Cli::try_parse_from(["megas", "render", "s.toml", "--mesh", "ply,glb", "--clip", "0.5,0.5,0.5,0,-1,0", "--plain"]).unwrap();
+        let Command::Render(a) = cli.command else { panic!("render") };
+        let mut scene = Scene::default();
+        a.apply(&mut scene);
+        assert_eq!((&scene.output.mesh[..], scene.appearance().wet), (&[MeshKind::Ply, MeshKind::Glb][..], 0.0));
+        assert!(scene.output.clip.is_some_and(|c| c.normal == [0.0, -1.0, 0.0] && c.frame == Frame::Object));
+        assert!(Cli::try_parse_from(["megas", "render", "s.toml", "--clip", "0,0,0,0,0,0"]).is_err());
+        assert!(Cli::try_parse_from(["megas", "render", "s.toml", "--mesh", "stl"]).is_err());
         assert!(Cli::try_parse_from(["megas", "demo", "--threads", "0"]).is_err());
         assert!(Cli::try_parse_from(["megas", "demo", "-q", "-v"]).is_err());
     }

@@ -124,7 +124,12 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
         Command::Run(a) => on_file(a, global, megas_pipeline::run),
         Command::Fill(a) => on_file(a, global, megas_pipeline::fill),
         Command::Simulate(a) => on_file(a, global, megas_pipeline::simulate),
-        Command::Render(a) => on_file(a, global, megas_pipeline::render),
+        Command::Render(a) => {
+            let mut scene = LoadedScene::open(&a.scene.scene)?;
+            a.apply(&mut scene.scene);
+            let name = a.scene.scene.file_stem().unwrap_or("scene".as_ref()).to_string_lossy();
+            on_scene(&scene, &name, &a.scene.output, global, megas_pipeline::render)
+        }
         Command::Schema => {
             let schema = megas_scene::json_schema();
             Ok(Answer::Document { text: format!("{schema:#}\n"), object: json!({ "schema": schema }) })

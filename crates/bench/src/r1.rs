@@ -75,8 +75,7 @@ pub fn run(args: &Args) -> String {
     pool.install(|| {
         let points = points(args.size, args.jitter);
         let dx = 1.0 / GRID;
-        let settings =
-            MeshSettings { voxel: args.voxel * dx, smoothing: args.smoothing, ..MeshSettings::new(0.5 * dx, 1.0) };
+        let settings = MeshSettings { voxel: args.voxel * dx, smoothing: args.smoothing, ..MeshSettings::new(0.5 * dx, 1.0) };
         let (mut wall, mut cpu) = (Vec::new(), Vec::new());
         let mut mesh = particle_mesh(&points, &settings);
         for _ in 0..args.reps.max(1) {

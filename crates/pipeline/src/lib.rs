@@ -19,6 +19,7 @@ mod run;
 mod simulate;
 mod source;
 mod stage;
+mod surface_meshes;
 mod study;
 mod table;
 

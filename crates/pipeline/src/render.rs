@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use megas_film::{CameraPath, Captions, Mp4Writer, PlySequence, ThermalStyle, side_by_side, thermal_image, write_png};
+use megas_film::{Appearance, CameraPath, Captions, Mp4Writer, PlySequence, ThermalStyle, side_by_side, thermal_image, write_png};
 use megas_formats::WriteOptions;
-use megas_model::Image;
-use megas_raster::{Channels, Frame, Gaussians, Rasterizer, Settings};
+use megas_model::{Camera, Image};
+use megas_raster::{Channels, ClipPlane, Frame, Gaussians, Rasterizer, Settings};
 use megas_scene::{CELSIUS_K, Film, Scene};
 use megas_skin::{InternalKernels, Push, Skin, SkinSettings, bake_splats};
 use serde_json::{Value, json};
@@ -15,6 +15,7 @@ use crate::body::{Bodies, scene_objects, total_height};
 use crate::cameras::camera_paths;
 use crate::convert::resolve_material;
 use crate::disk::{create_dir, frame_path};
+use crate::surface_meshes::SurfaceMeshes;
 use crate::simulate::read_frame;
 use crate::stage::StageDir;
 use crate::{Event, Failure, LoadedScene, Options, Sink};
@@ -32,6 +33,11 @@ struct Studio<'a> {
     skin: Skin,
     surface: usize,
     antialiased: bool,
+    clip: Option<ClipPlane>,
+    appearance: Appearance,
+    /// Up and the direction of the light that melts mirror, scene axes.
+    up: [f32; 3],
+    lamp: [f32; 3],
 }
 
 /// Renders what is missing and writes the films; returns the figures of the stage.
@@ -54,6 +60,10 @@ pub fn render(
         skin: skin(scene, bodies),
         surface: bodies.surface.len(),
         antialiased: bodies.meta.antialiased,
+        clip: clip_plane(scene, &bodies.meta.placement()),
+        appearance: appearance(scene),
+        up: to_scene_axes(bodies, [0.0, 0.0, 1.0]),
+        lamp: to_scene_axes(bodies, LAMP),
     };
     studio.background.temperature.fill(scene.ambient_k() as f32);
     stage.begin()?;
@@ -63,6 +73,7 @@ pub fn render(
     let mut frame = Frame::default();
     let mut posed = Gaussians::default();
     let splats = sequence(scene, &options.out)?;
+    let mut meshes = SurfaceMeshes::create(scene, bodies, &options.out)?;
     let mut clamped = 0;
     for k in 0..total {
         if sink.cancelled() {
@@ -71,6 +82,9 @@ pub fn render(
         let points = read_frame(simulated, k)?;
         studio.skin.advance(&points);
         let wanted = studio.missing(&stage.path, k);
+        if let Some(m) = meshes.as_mut().filter(|m| m.wants(k)) {
+            m.write(k, bodies, &points)?;
+        }
         let ply = splats.as_ref().filter(|_| k % u64::from(scene.output.ply_every.max(1)) == 0).filter(|s| !s.path(k as u32).exists());
         if wanted.is_empty() && ply.is_none() {
             sink.event(Event::Step { done: k + 1 });
@@ -82,8 +96,15 @@ pub fn render(
             baked.append(&bodies.background);
             sequence.write(k as u32, &baked).map_err(|e| Failure::Input(e.to_string()))?;
         }
+        let liquid = &points.liquid[..posed.len().min(points.liquid.len())];
         posed.extend_from(&studio.background);
+        studio.appearance.apply(&mut posed, liquid);
+        let matt = if studio.appearance.wet > 0.0 { posed.sh.clone() } else { Vec::new() };
         for camera in wanted {
+            if !matt.is_empty() {
+                posed.sh.copy_from_slice(&matt);
+                studio.appearance.add_sheen(&mut posed, liquid, &studio.view(camera, k), studio.up, studio.lamp);
+            }
             studio.picture(camera, k, &posed, &mut rasterizer, &mut frame, &stage.path)?;
         }
         sink.event(Event::Step { done: k + 1 });
@@ -100,7 +121,10 @@ pub fn render(
         }
     }
     let gaussians = posed.len().max(bodies.surface.len() + bodies.background.len());
-    let figures = json!({"films": films, "gaussians": gaussians, "needles_clamped_last_frame": clamped});
+    let mut figures = json!({"films": films, "gaussians": gaussians, "needles_clamped_last_frame": clamped});
+    if let Some(m) = &meshes {
+        figures["mesh"] = m.figures();
+    }
     stage.finish(&figures)?;
     Ok(figures)
 }
@@ -142,6 +166,30 @@ fn skin(scene: &Scene, bodies: &Bodies) -> Skin {
     let position = inside.map(|x| m.similarity.to_scene(*x).map(|v| v as f32)).collect();
     let internal = InternalKernels { colour: bodies.internal_rgb.clone(), position, radius };
     Skin::new(bodies.surface.clone(), internal, m.similarity, settings)
+}
+
+/// Where the light comes from that melts mirror, simulator axes: high, a little from the side.
+const LAMP: [f64; 3] = [-0.35, -0.35, 0.87];
+
+fn to_scene_axes(bodies: &Bodies, d: [f64; 3]) -> [f32; 3] {
+    let d = megas_math::vec3::cast(bodies.meta.similarity.direction_to_scene(d));
+    megas_math::vec3::normalize_or(d, [0.0, 0.0, 1.0])
+}
+
+fn appearance(scene: &Scene) -> Appearance {
+    let a = scene.appearance();
+    Appearance { glow: a.glow as f32, white: (a.white_c + CELSIUS_K) as f32, compression: a.contrast as f32, wet: a.wet as f32 }
+}
+
+fn clip_plane(scene: &Scene, placement: &megas_scene::Placement) -> Option<ClipPlane> {
+    let c = scene.output.clip.as_ref()?;
+    let s = &placement.similarity;
+    let point = s.to_scene(placement.point(c.frame, c.point));
+    let normal = match c.frame {
+        megas_scene::Frame::Scene => c.normal,
+        megas_scene::Frame::Object => s.direction_to_scene(c.normal),
+    };
+    Some(ClipPlane { normal: normal.map(|v| v as f32), offset: megas_math::vec3::dot(normal, point) as f32 })
 }
 
 /// Range of the false colours and the melting line.
@@ -187,6 +235,10 @@ impl Studio<'_> {
             .collect()
     }
 
+    fn view(&self, camera: usize, k: u64) -> Camera {
+        self.paths[camera].1.camera_at(k as f64 / self.scene.time.fps, self.size.0, self.size.1)
+    }
+
     fn picture(
         &self,
         camera: usize,
@@ -196,9 +248,10 @@ impl Studio<'_> {
         frame: &mut Frame,
         folder: &Path,
     ) -> Result<(), Failure> {
-        let (name, path) = &self.paths[camera];
-        let view = path.camera_at(k as f64 / self.scene.time.fps, self.size.0, self.size.1);
-        let settings = Settings { background: self.scene.output.background.0, anti_aliased: self.antialiased, ..Settings::default() };
+        let name = &self.paths[camera].0;
+        let view = self.view(camera, k);
+        let settings =
+            Settings { background: self.scene.output.background.0, anti_aliased: self.antialiased, clip: self.clip, ..Settings::default() };
         let channels = if self.wants("thermal") { Channels::RgbaTemperature } else { Channels::Rgba };
         rasterizer.render(g, &view, &settings, channels, frame);
         let fail = |e: megas_film::FilmError| Failure::Input(e.to_string());

@@ -38,7 +38,7 @@ pub use input::{Backdrop, Finetune, FinetuneSettings, Input, Method, Profile, Re
 pub use material::{Law, MaterialContext, MaterialError, MaterialSpec, ResolvedMaterial, ResolvedTables};
 pub use material_checks::{MaterialReport, StepLimits};
 pub use object::{Filling, Object, Select};
-pub use output::{Film, Output};
+pub use output::{Appearance, Clip, Film, MeshKind, Output};
 pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
 pub use scene::{Clock, Scene};
 pub use schema::json_schema;

@@ -15,7 +15,7 @@ use crate::input::Input;
 use crate::material::{MaterialContext, MaterialSpec};
 use crate::material_checks::StepLimits;
 use crate::object::Object;
-use crate::output::Output;
+use crate::output::{Appearance, Output};
 use crate::settings::{Air, Fill, HeatTransfer, PhaseMode, Preset, Quality, Simulation, Skin, Time};
 use crate::still::InputBody;
 use crate::{CELSIUS_K, presets, semantic};
@@ -208,6 +208,12 @@ impl Scene {
 
     fn is_literal(&self) -> bool {
         self.preset == Preset::Paper
+    }
+
+    /// Glow and wetness in use: the paper's pictures have neither.
+    pub fn appearance(&self) -> Appearance {
+        let plain = Appearance { glow: 0.0, wet: 0.0, ..Appearance::default() };
+        self.output.appearance.unwrap_or(if self.is_literal() { plain } else { Appearance::default() })
     }
 
     /// The phase rule in use.

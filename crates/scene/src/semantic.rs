@@ -439,4 +439,10 @@ fn output(scene: &Scene, r: &mut Report) {
     if (1..o.films.len()).any(|i| o.films[..i].contains(&o.films[i])) {
         r.say("output.films", "output.films: a film is named twice");
     }
+    if (1..o.mesh.len()).any(|i| o.mesh[..i].contains(&o.mesh[i])) {
+        r.say("output.mesh", "output.mesh: a format is named twice");
+    }
+    if let Some(c) = &o.clip {
+        direction(c.normal, "output.clip.normal", r);
+    }
 }

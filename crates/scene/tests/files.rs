@@ -106,6 +106,10 @@ background = "#102030"
 films = ["rgb", "side_by_side"]
 thermal_range_c = [0, 100]
 ply_every = 10
+mesh = ["ply", "glb"]
+mesh_every = 2
+clip = { point = [0.5, 0.5, 0.5], normal = [0, -1, 0] }
+appearance = { glow = 0.5, wet = 0 }
 "##;
 
 #[test]

@@ -160,11 +160,8 @@ impl CentreDistance {
         let k = 6.0 * inverse / w;
         let u = offset.map(|o| o / length.max(1e-12));
         let m = [s[4], s[5], s[6]];
-        let mu = [
-            s[7] * u[0] + s[8] * u[1] + s[9] * u[2],
-            s[8] * u[0] + s[10] * u[1] + s[11] * u[2],
-            s[9] * u[0] + s[11] * u[1] + s[12] * u[2],
-        ];
+        let mu =
+            [s[7] * u[0] + s[8] * u[1] + s[9] * u[2], s[8] * u[0] + s[10] * u[1] + s[11] * u[2], s[9] * u[0] + s[11] * u[1] + s[12] * u[2]];
         let slope = 2.0 * GAP * self.spacing * thin / FAR * 6.0 * inverse;
         let gradient = std::array::from_fn(|a| u[a] - k * mu[a] + k * length * m[a] + slope * m[a]);
         Some((value, gradient))

@@ -1,5 +1,6 @@
 //! A closed mesh of the body, frame by frame (splatting.md §7.7).
 
+pub mod attributes;
 mod cells;
 mod centre_distance;
 mod clean;
@@ -10,6 +11,7 @@ mod volume;
 
 pub use measure::{Surface, Topology};
 
+use crate::imls::{FieldValue, Imls};
 use cells::Cells;
 use centre_distance::CentreDistance;
 use megas_model::Mesh;
@@ -50,6 +52,9 @@ const SHORTEST: f32 = 0.05;
 /// Farthest that the Newton step moves a vertex \[voxels\].
 const STEP: f32 = 0.5;
 
+/// The skin is asked where the particles' field is within so many spacings of zero.
+const SKIN_BAND: f32 = 2.5;
+
 /// Positions in voxels relative to a corner that is a multiple of a block, so that voxels stand still in the scene.
 struct Frame {
     voxel: f64,
@@ -79,6 +84,13 @@ const LARGEST: f32 = 4.0e6;
 /// The surface of a cloud of particles: closed, outward, with normals. Particles that are not finite are left out, and
 /// those absurdly far (four million voxels) from the others.
 pub fn particle_mesh(points: &[[f32; 3]], settings: &MeshSettings) -> Mesh {
+    body_mesh(points, None, settings)
+}
+
+/// As [`particle_mesh`], but the surface follows the implicit surface of the skin where that is defined: `F = βf + (1−β)g` with
+/// `β = clamp((1.5h − d)/v, 0, 1)`, d the distance to the nearest sample (splatting.md §7.7, step 2). Particles of the inside
+/// keep it closed everywhere else.
+pub fn body_mesh(points: &[[f32; 3]], skin: Option<&Imls>, settings: &MeshSettings) -> Mesh {
     let finite: Vec<[f32; 3]> = points.iter().filter(|p| p.iter().all(|v| v.is_finite())).copied().collect();
     if finite.is_empty() || !(settings.voxel > 0.0 && settings.spacing > 0.0) {
         return Mesh::default();
@@ -89,8 +101,17 @@ pub fn particle_mesh(points: &[[f32; 3]], settings: &MeshSettings) -> Mesh {
     let spacing = (settings.spacing / voxel) as f32;
     let cells = Cells::new(&local, 2.0 * spacing);
     let field = CentreDistance::new(spacing, settings.offset);
-    let volume = Volume::new(&cells, |node, wanted, out| field.at_nodes(&cells, node, wanted, out));
-    let mut net = nets::surface_net(&volume, &cells, |x| newton(x, field.at(&cells, x)));
+    let volume = Volume::new(&cells, |node, wanted, out| {
+        field.at_nodes(&cells, node, wanted, out);
+        if let Some(skin) = skin {
+            blend_nodes(skin, &frame, node, wanted, SKIN_BAND * spacing, out);
+        }
+    });
+    let mut net = nets::surface_net(&volume, &cells, |x| {
+        let inner = field.at(&cells, x);
+        let outer = skin.map(|s| s.evaluate(frame.to_scene(x)));
+        newton(x, blended(outer, inner, voxel as f32))
+    });
     drop(volume);
     let void = (VOID * settings.spacing / voxel).powi(3);
     clean::remove_specks(&mut net, settings.speck_area, SPECK_TRIANGLES, void);
@@ -99,6 +120,43 @@ pub fn particle_mesh(points: &[[f32; 3]], settings: &MeshSettings) -> Mesh {
     let normals = clean::normals(&net.vertices, &net.triangles);
     let positions = net.vertices.par_iter().map(|p| frame.to_scene(*p)).collect();
     Mesh { positions, normals, triangles: net.triangles, ..Mesh::default() }
+}
+
+/// Share β of the skin's field at a place; 0 where it is not defined.
+fn share(f: &FieldValue, voxel: f32) -> f32 {
+    if f.is_valid() { ((1.5 * f.bandwidth - f.nearest) / voxel).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+/// Blends the skin's field into the values of a block, at the wanted nodes closer than `band` \[voxels\] to the zero set.
+fn blend_nodes(skin: &Imls, frame: &Frame, node: [i32; 3], wanted: &[u8; 64], band: f32, out: &mut [[f32; 8]; 64]) {
+    let mut places = Vec::new();
+    let mut points = Vec::new();
+    for row in 0..64 {
+        for x in 0..8 {
+            if wanted[row] >> x & 1 == 1 && out[row][x].abs() < band {
+                places.push((row, x));
+                points.push(frame.to_scene([node[0] + x as i32, node[1] + row as i32 % 8, node[2] + row as i32 / 8].map(|v| v as f32)));
+            }
+        }
+    }
+    let voxel = frame.voxel as f32;
+    for ((row, x), f) in places.into_iter().zip(skin.evaluate_all(&points)) {
+        let beta = share(&f, voxel);
+        let g = &mut out[row][x];
+        *g += beta * (f.value / voxel - *g);
+    }
+}
+
+/// Value and gradient of the blended field \[voxels\]; the slope of β itself is left out.
+fn blended(outer: Option<FieldValue>, inner: Option<(f32, [f32; 3])>, voxel: f32) -> Option<(f32, [f32; 3])> {
+    let beta = outer.map_or(0.0, |f| share(&f, voxel));
+    match (outer, inner) {
+        (Some(f), _) if beta >= 1.0 => Some((f.value / voxel, f.gradient)),
+        (Some(f), Some((g, slope))) if beta > 0.0 => {
+            Some((g + beta * (f.value / voxel - g), megas_math::vec3::lerp(slope, f.gradient, beta)))
+        }
+        _ => inner,
+    }
 }
 
 /// One Newton step towards the zero set, at most half a voxel long.

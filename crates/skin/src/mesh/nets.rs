@@ -58,7 +58,13 @@ fn corner_bits(volume: &Volume, cells: &Cells, b: usize) -> [u16; 81] {
         let range = |d: usize| if d == 0 { 0..8 } else { 0..1 };
         let uniform = match found {
             Some(_) => 0,
-            None => if volume.value(cells, coords.map(|c| c * EDGE)) < 0.0 { 0xff } else { 0u8 },
+            None => {
+                if volume.value(cells, coords.map(|c| c * EDGE)) < 0.0 {
+                    0xff
+                } else {
+                    0u8
+                }
+            }
         };
         for z in range(d[2]) {
             for y in range(d[1]) {

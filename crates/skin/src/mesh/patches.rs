@@ -100,12 +100,14 @@ pub(crate) static TABLE: LazyLock<Vec<Patches>> = LazyLock::new(|| (0..=255).map
 pub(crate) static TWICE: LazyLock<[Option<u8>; 256]> = LazyLock::new(|| {
     std::array::from_fn(|c| {
         let config = c as u8;
-        (0..6usize).find(|&f| {
-            let corner = face_corners(f);
-            let p = &TABLE[c];
-            ambiguous(config, f) && (0..4).all(|k| p.of[edge_between(corner[k], corner[(k + 1) % 4])] == p.of[edge_between(corner[0], corner[1])])
-        })
-        .map(|f| f as u8)
+        (0..6usize)
+            .find(|&f| {
+                let corner = face_corners(f);
+                let p = &TABLE[c];
+                ambiguous(config, f)
+                    && (0..4).all(|k| p.of[edge_between(corner[k], corner[(k + 1) % 4])] == p.of[edge_between(corner[0], corner[1])])
+            })
+            .map(|f| f as u8)
     })
 });
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::imls::Samples;
 use megas_math::{rng::Rng, vec3};
 
 /// Particles on a jittered lattice of spacing 1 in the solid `inside`.
@@ -121,7 +122,8 @@ fn results_do_not_depend_on_threads_and_stand_still_in_the_scene() {
     let moved: Vec<[f32; 3]> = points.iter().map(|p| vec3::add(*p, shift)).collect();
     let other = particle_mesh(&moved, &settings);
     assert_eq!(other.triangles.len(), mesh.triangles.len());
-    let farthest = mesh.positions.iter().zip(&other.positions).fold(0.0f32, |m, (a, b)| m.max(vec3::norm(vec3::sub(vec3::add(*a, shift), *b))));
+    let farthest =
+        mesh.positions.iter().zip(&other.positions).fold(0.0f32, |m, (a, b)| m.max(vec3::norm(vec3::sub(vec3::add(*a, shift), *b))));
     assert!(farthest < 2e-3, "{farthest}");
 }
 
@@ -135,4 +137,144 @@ fn hopeless_input_gives_an_empty_mesh_or_leaves_the_culprit_out() {
     points.push([f32::INFINITY, 0.0, 0.0]);
     points.push([3e9, 0.0, 0.0]);
     assert_eq!(particle_mesh(&points, &settings), mesh);
+}
+
+/// A solid given by a function that is negative inside.
+type Implicit<'a> = &'a dyn Fn([f64; 3]) -> f64;
+
+fn gradient(f: Implicit<'_>, x: [f64; 3]) -> [f64; 3] {
+    let h = 1e-5;
+    std::array::from_fn(|a| {
+        let at = |s: f64| f(std::array::from_fn(|b| x[b] + if a == b { s } else { 0.0 }));
+        (at(h) - at(-h)) / (2.0 * h)
+    })
+}
+
+/// The point of the surface that Newton's method finds from `x`.
+fn project(f: Implicit<'_>, mut x: [f64; 3]) -> [f64; 3] {
+    for _ in 0..20 {
+        let g = gradient(f, x);
+        x = vec3::add_scaled(x, g, -f(x) / vec3::dot(g, g).max(1e-9));
+    }
+    x
+}
+
+/// Oriented samples spread over the surface, and particles below it.
+fn body(f: Implicit<'_>, count: usize, spacing: f64, noise: f64) -> (Samples, Vec<[f32; 3]>) {
+    let mut rng = Rng::new(4);
+    let mut samples = Samples::default();
+    while samples.position.len() < count {
+        let x: [f64; 3] = std::array::from_fn(|_| rng.range(-1.6, 1.6));
+        // A thin shell around the surface holds points in proportion to its area.
+        if f(x).abs() < 0.04 * vec3::norm(gradient(f, x)) {
+            let p = project(f, x);
+            let n = vec3::normalize_or(gradient(f, p), [0.0; 3]);
+            let tilted = vec3::normalize_or(vec3::add_scaled(n, rng.direction(), noise * rng.unit()), n);
+            samples.position.push(vec3::cast(p));
+            samples.normal.push(vec3::cast(tilted));
+        }
+    }
+    let n = (1.7 / spacing) as i32;
+    let mut inside = Vec::new();
+    for k in 0..(2 * n).pow(3) {
+        let cell = [k % (2 * n) - n, k / (2 * n) % (2 * n) - n, k / (4 * n * n) - n];
+        let p: [f64; 3] = cell.map(|v| (f64::from(v) + 0.5 + rng.range(-0.25, 0.25)) * spacing);
+        if f(p) < -0.3 * spacing * vec3::norm(gradient(f, p)) {
+            inside.push(vec3::cast(p));
+        }
+    }
+    (samples, inside)
+}
+
+fn sphere(x: [f64; 3]) -> f64 {
+    vec3::norm(x) - 1.0
+}
+
+fn torus(x: [f64; 3]) -> f64 {
+    (x[0].hypot(x[1]) - 1.0).hypot(x[2]) - 0.4
+}
+
+fn blobs(x: [f64; 3]) -> f64 {
+    let ball = |c: f64, r: f64| (-6.0 * (vec3::norm(vec3::sub(x, [c, 0.0, 0.1 * c])) - r)).exp();
+    -(ball(-0.5, 0.7) + ball(0.65, 0.55)).ln() / 6.0
+}
+
+#[test]
+fn v_m1_meshes_of_skins_lie_on_the_surface() {
+    // Genus, and the true volume where there is a formula.
+    let pi = std::f64::consts::PI;
+    let cases: [(&str, Implicit<'_>, i64, Option<f64>); 3] =
+        [("sphere", &sphere, 2, Some(4.0 / 3.0 * pi)), ("torus", &torus, 0, Some(2.0 * pi * pi * 0.16)), ("blobs", &blobs, 2, None)];
+    let spacing = 0.06;
+    for (name, f, euler, volume) in cases {
+        let (samples, inside) = body(f, 6000, spacing, 0.1);
+        let Some(skin) = Imls::new(&samples, &crate::imls::ImlsSettings::default()) else { panic!("a skin") };
+        let settings = MeshSettings::new(spacing, 3.5);
+        let mesh = body_mesh(&inside, Some(&skin), &settings);
+        let (t, s) = (Topology::of(&mesh), Surface::of(&mesh));
+        assert!(t.watertight() && t.euler == euler && t.components == 1, "{name} {t:?}");
+        let Ok(distance) = megas_geometry::MeshDistance::new(&mesh) else { panic!("{name}") };
+        let ours = distance.sample(20_000, 1);
+        let there = ours.iter().map(|p| {
+            let x = p.map(f64::from);
+            vec3::norm(vec3::sub(project(f, x), x))
+        });
+        let back = body(f, 3000, 1.0, 0.0).0.position;
+        let back = back.iter().map(|p| distance.closest(p.map(f64::from)).distance);
+        let (far, mean) = there.clone().chain(back.clone()).fold((0.0f64, 0.0), |(m, s), d| (m.max(d), s + d));
+        let chamfer = mean / (ours.len() + 3000) as f64 / distance.diagonal();
+        let error = volume.map(|v| s.volume / v - 1.0);
+        println!(
+            "{name}: {} triangles, Chamfer {:.5} L, Hausdorff {:.5} L, volume error {error:?}",
+            mesh.triangles.len(),
+            chamfer,
+            far / distance.diagonal()
+        );
+        assert!(chamfer < 3e-3 && far / distance.diagonal() < 0.015, "{name} {chamfer} {far}");
+        assert!(error.is_none_or(|e| e.abs() < 0.02), "{name} {error:?}");
+        // The particles alone are good to a fraction of their spacing; the skin is what makes it smooth.
+        let plain = particle_mesh(&inside, &settings);
+        let Ok(plain) = megas_geometry::MeshDistance::new(&plain) else { panic!("{name}") };
+        let rough: f64 =
+            plain.sample(20_000, 1).iter().map(|p| vec3::norm(vec3::sub(project(f, p.map(f64::from)), p.map(f64::from)))).sum();
+        println!("{name}: particles alone {:.5} L", rough / 20_000.0 / distance.diagonal());
+    }
+}
+
+#[test]
+fn a_mesh_stays_closed_where_the_skin_is_torn() {
+    let spacing = 0.06;
+    let (mut samples, inside) = body(&sphere, 6000, spacing, 0.1);
+    let keep: Vec<usize> = (0..samples.position.len()).filter(|i| samples.position[*i][2] < 0.4).collect();
+    samples = samples.select(&keep);
+    let Some(skin) = Imls::new(&samples, &crate::imls::ImlsSettings::default()) else { panic!("a skin") };
+    let mesh = body_mesh(&inside, Some(&skin), &MeshSettings::new(spacing, 3.5));
+    let t = Topology::of(&mesh);
+    assert!(t.watertight() && t.components == 1 && t.euler == 2, "{t:?}");
+    let error = Surface::of(&mesh).volume / (4.0 / 3.0 * std::f64::consts::PI) - 1.0;
+    assert!(error.abs() < 0.03, "{error}");
+}
+
+#[test]
+fn vertices_carry_colours_and_temperatures_of_their_surroundings() {
+    let points = fill(9.0, 0.2, 1, block);
+    let mut mesh = particle_mesh(&points, &MeshSettings::new(1.0, 20.0));
+    let kelvin: Vec<f32> = points.iter().map(|p| 300.0 + 10.0 * p[2]).collect();
+    attributes::temperature(&mut mesh, attributes::Carriers { position: &points, value: &kelvin }, 1.0);
+    let inside = mesh.positions.iter().zip(&mesh.temperature).filter(|(p, _)| p[2].abs() < 7.0);
+    let worst = inside.map(|(p, t)| (t - (300.0 + 10.0 * p[2])).abs()).fold(0.0, f32::max);
+    assert!(worst < 6.0, "{worst}");
+    // Only the lower half has a skin, red; above it the blue inside shows.
+    let skin: Vec<[f32; 3]> = points.iter().filter(|p| p[2] < 0.0).copied().collect();
+    let (red, blue) = (vec![[1.0, 0.0, 0.0]; skin.len()], vec![[0.0, 0.0, 1.0]; points.len()]);
+    attributes::colour(
+        &mut mesh,
+        attributes::Carriers { position: &skin, value: &red },
+        attributes::Carriers { position: &points, value: &blue },
+        1.0,
+    );
+    for (p, c) in mesh.positions.iter().zip(&mesh.colours) {
+        let expected = if p[2] < 1.0 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] };
+        assert!((1.0..4.0).contains(&p[2]) || (0..3).all(|k| (c[k] - expected[k]).abs() < 1e-3), "{p:?} {c:?}");
+    }
 }
