@@ -87,8 +87,8 @@ pub fn particle_mesh(points: &[[f32; 3]], settings: &MeshSettings) -> Mesh {
     body_mesh(points, None, settings)
 }
 
-/// As [`particle_mesh`], but the surface follows the implicit surface of the skin where that is defined: `F = βf + (1−β)g` with
-/// `β = clamp((1.5h − d)/v, 0, 1)`, d the distance to the nearest sample (splatting.md §7.7, step 2). Particles of the inside
+/// As [`particle_mesh`], but the surface follows the implicit surface of the skin where that is defined: `F = βf + (1−β)g`,
+/// β falling with the sideways distance to the nearest sample (splatting.md §7.7, step 2). Particles of the inside
 /// keep it closed everywhere else.
 pub fn body_mesh(points: &[[f32; 3]], skin: Option<&Imls>, settings: &MeshSettings) -> Mesh {
     let finite: Vec<[f32; 3]> = points.iter().filter(|p| p.iter().all(|v| v.is_finite())).copied().collect();
@@ -122,9 +122,15 @@ pub fn body_mesh(points: &[[f32; 3]], skin: Option<&Imls>, settings: &MeshSettin
     Mesh { positions, normals, triangles: net.triangles, ..Mesh::default() }
 }
 
-/// Share β of the skin's field at a place; 0 where it is not defined.
-fn share(f: &FieldValue, voxel: f32) -> f32 {
-    if f.is_valid() { ((1.5 * f.bandwidth - f.nearest) / voxel).clamp(0.0, 1.0) } else { 0.0 }
+/// Share β of the skin's field at a place; 0 where it is not defined. Sideways from the nearest sample counts: inside a skin that
+/// is less than half a bandwidth, beyond its border the field continues it as a plane, and the design's fade (over one voxel at a
+/// distance of 1.5h) lets such planes stick out.
+fn share(f: &FieldValue) -> f32 {
+    if !f.is_valid() || f.nearest >= 1.5 * f.bandwidth {
+        return 0.0;
+    }
+    let sideways = (f.nearest * f.nearest - f.value * f.value).max(0.0).sqrt();
+    ((1.2 - sideways / f.bandwidth) / 0.5).clamp(0.0, 1.0)
 }
 
 /// Blends the skin's field into the values of a block, at the wanted nodes closer than `band` \[voxels\] to the zero set.
@@ -141,7 +147,7 @@ fn blend_nodes(skin: &Imls, frame: &Frame, node: [i32; 3], wanted: &[u8; 64], ba
     }
     let voxel = frame.voxel as f32;
     for ((row, x), f) in places.into_iter().zip(skin.evaluate_all(&points)) {
-        let beta = share(&f, voxel);
+        let beta = share(&f);
         let g = &mut out[row][x];
         *g += beta * (f.value / voxel - *g);
     }
@@ -149,7 +155,7 @@ fn blend_nodes(skin: &Imls, frame: &Frame, node: [i32; 3], wanted: &[u8; 64], ba
 
 /// Value and gradient of the blended field \[voxels\]; the slope of β itself is left out.
 fn blended(outer: Option<FieldValue>, inner: Option<(f32, [f32; 3])>, voxel: f32) -> Option<(f32, [f32; 3])> {
-    let beta = outer.map_or(0.0, |f| share(&f, voxel));
+    let beta = outer.map_or(0.0, |f| share(&f));
     match (outer, inner) {
         (Some(f), _) if beta >= 1.0 => Some((f.value / voxel, f.gradient)),
         (Some(f), Some((g, slope))) if beta > 0.0 => {
