@@ -19,8 +19,8 @@ mod run;
 mod simulate;
 mod source;
 mod stage;
-mod surface_meshes;
 mod study;
+mod surface_meshes;
 mod table;
 
 use std::fmt;

@@ -15,9 +15,9 @@ use crate::body::{Bodies, scene_objects, total_height};
 use crate::cameras::camera_paths;
 use crate::convert::resolve_material;
 use crate::disk::{create_dir, frame_path};
-use crate::surface_meshes::SurfaceMeshes;
 use crate::simulate::read_frame;
 use crate::stage::StageDir;
+use crate::surface_meshes::SurfaceMeshes;
 use crate::{Event, Failure, LoadedScene, Options, Sink};
 
 /// Frames looked at for the range of the false colours.
