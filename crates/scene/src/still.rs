@@ -45,9 +45,9 @@ pub enum Pattern {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InputBody {
-    /// Name.
+    /// Name, for `parts` of objects.
     pub name: String,
-    /// Form.
+    /// Geometric form.
     pub form: BodyForm,
     /// Mesh file (.ply, .obj, .glb), relative to the scene file, for form = "mesh".
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -135,9 +135,21 @@ fn photographs_and_fine_tuning_say_what_they_need() {
 fn a_scene_needs_one_input() {
     assert_eq!(problems("title = 'x'")[0].to_string(), "s.toml:1:1: the scene: \"input\" is missing");
     let neither = &problems("[input]\nup = '+y'")[0];
-    assert_eq!(neither.to_string(), "s.toml:1:2: input: give splat = \"file.ply\", capture = \"photographs\" or asset = \"ice-cream\"");
+    let expected = "s.toml:1:2: input: give splat = \"file.ply\", capture = \"photographs\", asset = \"ice-cream\" or [[input.body]]";
+    assert_eq!(neither.to_string(), expected);
     let both = &problems("[input]\nsplat = 'a'\nasset = 'b'")[0];
     assert_eq!((both.line, both.key.as_str()), (3, "input.asset"));
+}
+
+#[test]
+fn procedural_bodies_are_checked() {
+    let one = |text: &str| problems(text)[0].to_string();
+    assert!(one("[input]\nsplat = 'a'\n[[input.body]]\n").contains("either splat or [[input.body]]"));
+    assert!(one("[[input.body]]\nform = 'mesh'").contains("needs mesh"));
+    assert!(one("[[input.body]]\nsize_m = [0.1, 0.1, 0]").contains("every side"));
+    assert!(one("[[input.body]]\nform = 'torus'\nsize_m = [0.1, 0.1, 0.06]").contains("thinner than"));
+    let parts = "[[input.body]]\nname = 'cake'\n[[object]]\nname = 'o'\nparts = ['cak']";
+    assert!(one(parts).contains("no input body \"cak\"; did you mean \"cake\"?"), "{}", one(parts));
 }
 
 #[test]
