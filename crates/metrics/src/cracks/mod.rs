@@ -36,6 +36,9 @@ pub struct Cracks {
     pub front_deficit: f64,
     /// Fraction of it with `A_f < 0.5`.
     pub crack_fraction: f64,
+    /// The same without the pixels within 2 px of a place where the surface hides itself (its depth jumps by more than the window):
+    /// there a pixel sees two layers, in a perfect model too.
+    pub off_contours: f64,
     /// Connected sets of at least four such pixels, mean per view.
     pub holes: f64,
     /// The largest of them, as a fraction of its view's silhouette.
@@ -59,6 +62,8 @@ pub struct CrackView {
     pub inside: Vec<bool>,
     /// Pixels outside the dilated silhouette.
     pub outside: Vec<bool>,
+    /// Pixels near a jump of the depth.
+    pub contour: Vec<bool>,
 }
 
 /// The views that cracks are looked for in; they depend on the true surface alone.
@@ -83,7 +88,8 @@ impl CrackViews {
             let empty: Vec<bool> = solid.iter().map(|s| !s).collect();
             let inside = grown(&empty, size as i32, ERODE).iter().map(|near| !near).collect();
             let outside = grown(&solid, size as i32, DILATE).iter().map(|near| !near).collect();
-            CrackView { camera, depth: geometry.depth, inside, outside }
+            let jumps = jumps(&geometry.depth, size as usize, (WINDOW * diagonal) as f32);
+            CrackView { camera, depth: geometry.depth, inside, outside, contour: grown(&jumps, size as i32, ERODE) }
         });
         Self { views: views.collect(), window: (WINDOW * diagonal) as f32 }
     }
@@ -91,7 +97,7 @@ impl CrackViews {
     /// Measures a deformed model.
     pub fn measure(&self, model: &Gaussians) -> Cracks {
         let mut sum = Cracks::default();
-        let (mut inside, mut outside) = (0usize, 0usize);
+        let (mut inside, mut outside, mut smooth) = (0usize, 0usize, 0usize);
         for view in &self.views {
             let layer = front_layer(model, &view.camera, &view.depth, self.window);
             let mut cracked = vec![false; layer.alpha.len()];
@@ -103,6 +109,10 @@ impl CrackViews {
                     cracked[i] = f < CRACKED;
                     sum.front_deficit += f64::from(1.0 - f);
                     sum.crack_fraction += f64::from(u8::from(cracked[i]));
+                    if !view.contour[i] {
+                        smooth += 1;
+                        sum.off_contours += f64::from(u8::from(cracked[i]));
+                    }
                     sum.alpha_deficit += f64::from(1.0 - a);
                     sum.silhouette_holes += f64::from(u8::from(a < CRACKED));
                 } else if view.outside[i] {
@@ -120,6 +130,7 @@ impl CrackViews {
         Cracks {
             front_deficit: sum.front_deficit / n,
             crack_fraction: sum.crack_fraction / n,
+            off_contours: sum.off_contours / smooth.max(1) as f64,
             holes: sum.holes / self.views.len().max(1) as f64,
             largest_hole: sum.largest_hole,
             alpha_deficit: sum.alpha_deficit / n,
@@ -141,6 +152,19 @@ pub fn orthographic_views(mesh: &Mesh, count: usize, size: u32) -> Vec<Camera> {
     let (centre, radius) = box_sphere(mesh);
     let camera = |d: [f32; 3]| Camera::orthographic(centre, d.map(|v| -v), [0.0, 0.0, 1.0], ROOM * radius, 2.0 * radius, size, size);
     fibonacci_directions(count).into_iter().map(camera).collect()
+}
+
+/// Pixels whose depth differs by more than `window` from that of the pixel to the right or below, both inside the silhouette.
+fn jumps(depth: &[f32], width: usize, window: f32) -> Vec<bool> {
+    let mut out = vec![false; depth.len()];
+    for i in 0..depth.len() {
+        for j in [(i % width + 1 < width).then_some(i + 1), (i + width < depth.len()).then_some(i + width)].into_iter().flatten() {
+            if (depth[i] - depth[j]).abs() > window && depth[i].is_finite() && depth[j].is_finite() {
+                (out[i], out[j]) = (true, true);
+            }
+        }
+    }
+    out
 }
 
 /// Pixels of a square image within `reach` (centre to centre) of a set one.
@@ -279,6 +303,8 @@ mod tests {
         let mut set = vec![false; 100];
         set[55] = true;
         assert_eq!(grown(&set, 10, 2).iter().filter(|s| **s).count(), 13);
+        let depth = [1.0, 1.05, 2.0, f32::INFINITY, 1.0, 1.0, 2.0, 2.0];
+        assert_eq!(jumps(&depth, 4, 0.5), [false, true, true, false, false, true, true, false]);
         let picture = [1, 1, 0, 0, 1, 0, 0, 1, 0, 1, 0, 0].map(|v| v == 1);
         let mut sizes = components(&picture, 4);
         sizes.sort_unstable();
