@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand};
-
 use megas_scene::{Appearance, Clip, Frame, MeshKind, Scene};
 
+use crate::claims_args::ClaimsArgs;
 use crate::train_args::{FinetuneArgs, ReconstructArgs, StudyArgs};
 
 /// Melt, freeze and heat real scenes: photographs or splats in, film out.
@@ -117,6 +117,10 @@ pub enum Study {
     #[command(after_help = "Examples:\n  megas eval reconstruct ice/ cow/ --methods vanilla,ours --seeds 3 -o study\n  \
                             megas eval reconstruct ice/ --methods all --profile tiny --downscale 4 -o study")]
     Reconstruct(Box<StudyArgs>),
+    /// Compare methods on one object when it deforms: cracks, fidelity, needles, filling. The same command goes on.
+    #[command(after_help = "Examples:\n  megas eval claims ice/ --models study -o claims\n  \
+                            megas eval claims ice/ --methods B0,B5,B6 --profile tiny --quick -o claims")]
+    Claims(Box<ClaimsArgs>),
 }
 
 /// Arguments of `validate`.
@@ -231,6 +235,7 @@ impl Command {
             Self::Reconstruct(_) => "reconstruct",
             Self::Finetune(_) => "finetune",
             Self::Eval(Study::Reconstruct(_)) => "eval reconstruct",
+            Self::Eval(Study::Claims(_)) => "eval claims",
             Self::Run(_) => "run",
             Self::Fill(_) => "fill",
             Self::Simulate(_) => "simulate",

@@ -1,6 +1,7 @@
 //! The command line: parse, call the pipeline, print.
 
 mod args;
+mod claims_args;
 mod console;
 mod materials;
 mod summary;
@@ -120,6 +121,10 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
         Command::Eval(args::Study::Reconstruct(a)) => {
             console::stop_on_ctrl_c();
             megas_pipeline::study(&a.job(global.threads), &Console::new(global)).map(Answer::Figures)
+        }
+        Command::Eval(args::Study::Claims(a)) => {
+            console::stop_on_ctrl_c();
+            megas_pipeline::claims(&a.job(global.threads), &Console::new(global)).map(Answer::Figures)
         }
         Command::Run(a) => on_file(a, global, megas_pipeline::run),
         Command::Fill(a) => on_file(a, global, megas_pipeline::fill),

@@ -19,7 +19,7 @@ fn methods() -> impl TypedValueParser<Value = Method> {
     named(Method::ALL.iter().map(|m| (m.name(), *m)).collect())
 }
 
-fn profiles() -> impl TypedValueParser<Value = Profile> {
+pub(crate) fn profiles() -> impl TypedValueParser<Value = Profile> {
     named([Profile::Tiny, Profile::Object, Profile::Full, Profile::RealHq].iter().map(|p| (p.name(), *p)).collect())
 }
 
@@ -27,7 +27,7 @@ fn backdrops() -> impl TypedValueParser<Value = Backdrop> {
     named(vec![("black", Backdrop::Black), ("white", Backdrop::White), ("random", Backdrop::Random)])
 }
 
-fn downscale(text: &str) -> Result<Downscale, String> {
+pub(crate) fn downscale(text: &str) -> Result<Downscale, String> {
     match text {
         "auto" => Ok(Downscale::Auto),
         _ => text.parse().ok().filter(|f| (1..=64).contains(f)).map(Downscale::Factor).ok_or("expected auto or 1 to 64".into()),
@@ -42,7 +42,7 @@ fn object_box(text: &str) -> Result<Region, String> {
         .ok_or("expected cx,cy,cz,hx,hy,hz: a centre and positive half extents".into())
 }
 
-fn gibibytes(text: &str) -> Result<f64, String> {
+pub(crate) fn gibibytes(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| *v > 0.0 && v.is_finite()).ok_or("expected a positive number of GiB".into())
 }
 

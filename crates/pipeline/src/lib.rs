@@ -6,6 +6,7 @@
 mod background;
 mod body;
 mod cameras;
+mod claims;
 mod colliders;
 mod convert;
 mod demo;
@@ -28,9 +29,11 @@ use std::path::{Path, PathBuf};
 
 use megas_scene::Scene;
 
+pub use claims::{ClaimsJob, Contender, Scope, claims};
 pub use demo::{DEMO_SCENE, demo, demo_scene};
 pub use inspect::inspect;
 pub use megas_capture::Downscale;
+pub use megas_metrics::deform::Carry;
 pub use megas_reconstruct::{Method, Profile};
 pub use plan::plan;
 pub use reconstruct::{

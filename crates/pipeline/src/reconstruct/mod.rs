@@ -8,7 +8,7 @@ mod evaluate;
 mod finetune;
 mod log;
 mod measure;
-mod pictures;
+pub(crate) mod pictures;
 mod places;
 mod plan;
 mod settings;

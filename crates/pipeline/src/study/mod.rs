@@ -16,7 +16,8 @@ use crate::reconstruct::{ReconstructJob, ReconstructSettings, reconstruct_here};
 use crate::run::in_pool;
 use crate::{Event, Failure, Sink};
 
-use table::{Asset, Row};
+pub(crate) use claims::{Check, checks};
+pub(crate) use table::{Asset, Row};
 
 /// Methods that get all seeds; the others get one unless asked for.
 const DECISIVE: [Method; 2] = [Method::Vanilla, Method::Ours];
@@ -56,7 +57,8 @@ impl StudyJob {
         self.methods.iter().flat_map(all).map(|(m, k)| (m, self.settings.seed + u64::from(k))).collect()
     }
 
-    fn reconstruction(&self, capture: &Path, folder: &Path, method: Method, seed: u64) -> ReconstructJob {
+    /// One of the trainings, into `folder`.
+    pub(crate) fn reconstruction(&self, capture: &Path, folder: &Path, method: Method, seed: u64) -> ReconstructJob {
         ReconstructJob {
             settings: ReconstructSettings { method, seed, ..self.settings.clone() },
             preview_every: 0,
