@@ -159,7 +159,7 @@ pub struct RenderArgs {
     /// The scene.
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// Write meshes of the objects: ply, obj, glb; the same as `mesh = ["ply"]` in [output].
+    /// Write meshes of the objects: ply, obj, glb; the same as `mesh = ["ply"]` in `output`.
     #[arg(long, value_name = "FORMAT,…", value_delimiter = ',', value_parser = mesh_kind)]
     pub mesh: Vec<MeshKind>,
     /// Cut the pictures open at a plane: a point (0–1 along the objects' box, z up) and the direction that is cut away.
