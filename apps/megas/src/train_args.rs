@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use megas_pipeline::{
-    Backdrop, Downscale, FinetuneJob, FinetuneSettings, Method, Profile, ReconstructJob, ReconstructSettings, Region, StudyJob,
+    Backdrop, Downscale, FinetuneJob, FinetuneSettings, Method, Profile, ReconstructJob, ReconstructSettings, Region, StudyJob, TauPrune,
 };
 use megas_scene::Select;
 
@@ -31,6 +31,18 @@ pub(crate) fn downscale(text: &str) -> Result<Downscale, String> {
     match text {
         "auto" => Ok(Downscale::Auto),
         _ => text.parse().ok().filter(|f| (1..=64).contains(f)).map(Downscale::Factor).ok_or("expected auto or 1 to 64".into()),
+    }
+}
+
+fn tau_prune(text: &str) -> Result<TauPrune, String> {
+    match text {
+        "auto" => Ok(TauPrune::Auto),
+        _ => text
+            .parse()
+            .ok()
+            .filter(|t: &f32| *t > 0.0 && *t < 1.0)
+            .map(TauPrune::Last)
+            .ok_or("expected auto or a number between 0 and 1".into()),
     }
 }
 
@@ -107,6 +119,12 @@ pub struct TrainingArgs {
     /// Grow by sampling (Markov chain Monte Carlo) instead of by thresholds.
     #[arg(long)]
     pub mcmc: bool,
+    /// Learn an exposure for every photograph: for photographs that were not taken with fixed exposure and white balance.
+    #[arg(long)]
+    pub exposure: bool,
+    /// Blend weight up to which a Gaussian counts as hidden and is removed; auto removes what costs at most 0.1 dB [default: 0.1].
+    #[arg(long, value_name = "auto|TAU", value_parser = tau_prune)]
+    pub tau_prune: Option<TauPrune>,
     /// Memory for the photographs in GiB.
     #[arg(long, value_name = "GIB", default_value = "8", value_parser = gibibytes)]
     pub memory_budget: f64,
@@ -132,6 +150,8 @@ impl TrainingArgs {
             object_box: self.object_box,
             cells: self.cells,
             mcmc: self.mcmc,
+            exposure: self.exposure,
+            tau_prune: self.tau_prune,
         }
     }
 }

@@ -7,7 +7,7 @@ use megas_model::{Camera, Projection};
 use rayon::prelude::*;
 
 use crate::{
-    Capture, Cloud, Options, Photo,
+    Capture, CaptureError, Cloud, Options, Photo,
     error::{Fault, Result, quoted},
     listing::{Listed, Listing},
     optics::{Intrinsics, Size},
@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// Loads what the listing names.
-pub(crate) fn develop(folder: &Path, mut listing: Listing, options: &Options) -> Result<Capture> {
+pub(crate) fn develop(folder: &Path, mut listing: Listing, options: &Options, stopped: &(dyn Fn() -> bool + Sync)) -> Result<Capture> {
     if listing.views.is_empty() {
         let remedy = "the pose estimation registered no image: run it again, with more overlap between the photographs";
         return Err(Fault::new("no images", "at least one posed image", remedy).at(&listing.file, "the list"));
@@ -36,7 +36,9 @@ pub(crate) fn develop(folder: &Path, mut listing: Listing, options: &Options) ->
     let work: Vec<(&Listed, &Job)> = listing.views.iter().zip(&plan.jobs).collect();
     let mut photos = Vec::with_capacity(work.len());
     for batch in work.chunks(plan.at_once.max(1)) {
-        let done: Vec<Result<Photo>> = batch.par_iter().map(|(view, job)| photo(view, job, options.crop_undistorted)).collect();
+        let one =
+            |(view, job): &(&Listed, &Job)| if stopped() { Err(CaptureError::Stopped) } else { photo(view, job, options.crop_undistorted) };
+        let done: Vec<Result<Photo>> = batch.par_iter().map(one).collect();
         for p in done {
             photos.push(p?);
         }

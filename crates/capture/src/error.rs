@@ -74,6 +74,9 @@ pub enum CaptureError {
         /// What is allowed.
         expected: &'static str,
     },
+    /// The user stopped the loading; nothing was written.
+    #[error("stopped while the photographs were loaded; nothing was written")]
+    Stopped,
     /// The point cloud beside the poses could not be read.
     #[error(transparent)]
     Cloud(#[from] megas_formats::FormatError),

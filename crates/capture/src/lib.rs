@@ -113,12 +113,20 @@ impl Default for Options {
 /// Every defect of the capture is an error, also a single missing or damaged photograph; things that merely may surprise go
 /// into [`Capture::notes`].
 pub fn load(folder: &Path, options: &Options) -> Result<Capture> {
+    load_unless(folder, options, &|| false)
+}
+
+/// As [`load`], but gives up before the next photograph as soon as `stopped` says so.
+///
+/// # Errors
+/// As [`load`], and [`CaptureError::Stopped`].
+pub fn load_unless(folder: &Path, options: &Options, stopped: &(dyn Fn() -> bool + Sync)) -> Result<Capture> {
     if let Downscale::Factor(r) = options.downscale
         && r == 0
     {
         return Err(CaptureError::Option { option: "downscale", found: "0".into(), expected: "a whole number from 1" });
     }
-    develop::develop(folder, read_listing(folder)?, options)
+    develop::develop(folder, read_listing(folder)?, options, stopped)
 }
 
 fn read_listing(folder: &Path) -> Result<listing::Listing> {

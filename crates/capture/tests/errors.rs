@@ -55,6 +55,15 @@ fn folders_that_are_no_captures() {
 }
 
 #[test]
+fn a_user_may_stop_the_loading() {
+    let dir = capture(5);
+    let asked = std::sync::atomic::AtomicUsize::new(0);
+    let stopped = || asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= 2;
+    let error = megas_capture::load_unless(dir.path(), &Options::default(), &stopped).unwrap_err();
+    assert!(matches!(error, CaptureError::Stopped) && error.to_string().contains("nothing was written"), "{error}");
+}
+
+#[test]
 fn missing_images_are_counted_and_the_first_named() {
     let dir = capture(9);
     (2..9).for_each(|i| fs::remove_file(at(&dir, "images").join(name(i))).unwrap());

@@ -37,8 +37,8 @@ pub use megas_metrics::deform::Carry;
 pub use megas_reconstruct::{Method, Profile};
 pub use plan::plan;
 pub use reconstruct::{
-    Backdrop, FinetuneJob, FinetuneSettings, ReconstructJob, ReconstructSettings, Region, finetune, plan_finetune, plan_reconstruct,
-    reconstruct,
+    Backdrop, FinetuneJob, FinetuneSettings, ReconstructJob, ReconstructSettings, Region, TauPrune, finetune, plan_finetune,
+    plan_reconstruct, reconstruct,
 };
 pub use run::{fill, render, run, simulate};
 pub use study::{StudyJob, study};

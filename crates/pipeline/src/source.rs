@@ -102,6 +102,8 @@ fn reconstruct_settings(t: &Reconstruct, seed: u64, cells: Option<u32>) -> Recon
         }),
         cells,
         mcmc: t.mcmc,
+        exposure: t.exposure,
+        tau_prune: None,
     }
 }
 

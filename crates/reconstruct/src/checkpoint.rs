@@ -37,6 +37,9 @@ struct Header {
     adam_steps: u64,
     splats: u64,
     sh_degree: u8,
+    /// Views with an exposure of their own.
+    #[serde(default)]
+    exposures: u64,
 }
 
 /// Every array of the state in a fixed order, as 32-bit words.
@@ -58,6 +61,9 @@ fn arrays(t: &mut Trainer) -> Vec<&mut [u8]> {
         out.push(bytemuck::cast_slice_mut(&mut moments.first));
         out.push(bytemuck::cast_slice_mut(&mut moments.second));
     }
+    for maps in [&mut t.exposures.map, &mut t.exposures.first, &mut t.exposures.second] {
+        out.push(bytemuck::cast_slice_mut(maps));
+    }
     out
 }
 
@@ -75,6 +81,7 @@ impl Trainer {
             adam_steps: self.model.adam.steps,
             splats: self.model.splats.len() as u64,
             sh_degree: self.model.splats.sh_degree,
+            exposures: self.exposures.map.len() as u64,
         };
         let header = serde_json::to_vec(&header)?;
         out.write_all(MAGIC)?;
@@ -118,10 +125,14 @@ impl Trainer {
         if header.sh_degree > 3 {
             return damaged(format!("degree {} of its spherical harmonics", header.sh_degree));
         }
+        if header.exposures != self.exposures.map.len() as u64 {
+            return damaged(format!("exposures of {} views, not of {}", header.exposures, self.exposures.map.len()));
+        }
         let stride = 3 * (u64::from(header.sh_degree) + 1).pow(2);
         // Parameters, two moments each, activity.
         let words = 3 * (11 + stride) + 4;
-        let expected = header.splats.checked_mul(4 * words).and_then(|b| b.checked_add(16 + size));
+        let fixed = 16 + size + 3 * 48 * header.exposures;
+        let expected = header.splats.checked_mul(4 * words).and_then(|b| b.checked_add(fixed));
         if expected != Some(length) {
             return damaged(format!("{} splats do not fit its {length} bytes", header.splats));
         }
@@ -133,10 +144,10 @@ impl Trainer {
         splats.opacity_logit = vec![0.0; n];
         splats.sh = vec![0.0; n * splats.sh_stride()];
         splats.fill_attributes();
-        let before = std::mem::replace(&mut self.model, crate::model::Model::new(splats));
+        let before = (std::mem::replace(&mut self.model, crate::model::Model::new(splats)), self.exposures.clone());
         for a in arrays(self) {
             if let Err(e) = from.read_exact(a) {
-                self.model = before;
+                (self.model, self.exposures) = before;
                 return Err(e.into());
             }
         }

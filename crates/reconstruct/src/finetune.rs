@@ -10,7 +10,7 @@ use megas_raster::{Channels, Gaussians, Rasterizer, Settings};
 use serde::{Deserialize, Serialize};
 
 use crate::loss::regularise::sorted;
-use crate::options::{Background, LearningRates, Method, Options, Profile, PruneEvent, Refinement, Region};
+use crate::options::{Background, GRADIENT, LearningRates, Method, Options, Profile, PruneEvent, Refinement, Region, SPLIT_LIMIT};
 use crate::trainer::Trainer;
 
 /// Vertical field of view of the virtual cameras.
@@ -19,6 +19,8 @@ const FOV: f32 = std::f32::consts::FRAC_PI_4;
 const FILL: f32 = 0.8;
 /// A half of a split Gaussian: displacement in standard deviations, and the share of the opacity.
 const SPLIT: (f32, f32, f32) = (0.780_625, 1.6, 0.8);
+/// τ_scale in diagonals of the object.
+const SCALE_LIMIT: f32 = 0.006;
 /// Splits of one Gaussian in a row.
 const MOST_SPLITS: usize = 24;
 
@@ -124,6 +126,9 @@ impl Teacher {
         o.seed = finetune.seed;
         o.weights.alpha = 0.5;
         o.weights.normal_start = at(300);
+        // The kernels of the original are given: a finer clamp would only split them into more than its views can tell apart.
+        let share = SCALE_LIMIT * self.region.diagonal();
+        o.scale_limit = Some(finetune.cell.map_or(share, |c| share.min(0.5 * c)));
         o.rates = LearningRates { mean: [1.6e-5, 1.6e-6], opacity: 0.02, ..LearningRates::default() };
         o.refinement = o.refinement.map(|r| Refinement {
             start: at(100),
@@ -131,6 +136,8 @@ impl Teacher {
             stop: at(600),
             reset_every: 0,
             trim_every: 0,
+            gradient: GRADIENT,
+            split_size: SPLIT_LIMIT * o.scale_limit.unwrap_or(share) / self.distance,
             most: finetune.most,
             ..r
         });

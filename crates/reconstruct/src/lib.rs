@@ -5,6 +5,7 @@
 
 mod adam;
 mod checkpoint;
+mod exposure;
 mod finetune;
 pub mod loss;
 mod model;
@@ -15,6 +16,7 @@ mod trainer;
 
 pub use adam::Rates;
 pub use checkpoint::CheckpointError;
+pub use exposure::ExposureRates;
 pub use finetune::{FinetuneOptions, Teacher, split_needles};
 pub use options::{Background, LearningRates, Mcmc, Method, Options, Profile, PruneEvent, Refinement, Region, Weights};
 pub use refine::Refined;

@@ -43,7 +43,7 @@ pub(crate) fn densify(model: &mut Model, options: &Options, refinement: &Refinem
     for i in 0..n {
         let [gradient, absolute_gradient] = model.activity.mean(i);
         let large = largest(i) > boundary;
-        if gradient >= refinement.gradient {
+        if gradient >= options.gradient_at(refinement, model.splats.mean[i]) {
             if large { splits.push(i) } else { clones.push(i) }
         } else if large
             && refinement.absolute_gradient.is_some_and(|limit| absolute_gradient >= limit)

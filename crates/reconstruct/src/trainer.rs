@@ -7,16 +7,21 @@ use megas_capture::{Photo, Seeds};
 use megas_math::{rng::Rng, sh};
 use megas_model::{Camera, Image, Splats, logit};
 use megas_raster::{Channels, Cotangents, Frame, Gaussians, Gradients, Rasterizer, Settings, Statistics};
+use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::exposure::Exposures;
 use crate::loss::{NormalConsistency, Photometric, PlaneGradient, PlaneImages, Target, alpha, edge_weights, regularise};
 use crate::model::Model;
 use crate::neighbour::{Neighbour, on_black};
-use crate::options::{Background, GIANT, Options};
+use crate::options::{Background, GIANT, Options, seen_depth};
 use crate::refine::{Refined, densify, relocate, reset_opacity, wander};
 
 /// Largest share that one pruning may remove before its threshold is halved (splatting.md §5.6).
 const MOST_PRUNED: f64 = 0.6;
+/// Thresholds that are tried, largest first, and what their removal may cost \[dB\].
+const AUTO_TAU: [f32; 5] = [0.2, 0.1, 0.05, 0.02, 0.01];
+const AUTO_LOSS: f64 = 0.1;
 /// Least share of the views that must see a Gaussian in front, least share of its weight there, and the pruning threshold
 /// from which both are asked.
 const FRONT_VIEWS: f64 = 0.08;
@@ -51,6 +56,8 @@ pub struct Trainer {
     pub(crate) options: Options,
     views: Vec<Photo>,
     pub(crate) model: Model,
+    /// Maps of the views' colours; empty without exposure compensation.
+    pub(crate) exposures: Exposures,
     pub(crate) step: u32,
     /// The controlled weight of the anisotropy loss.
     pub(crate) anisotropy: f32,
@@ -95,11 +102,13 @@ impl Trainer {
         assert!(!views.is_empty() && !splats.is_empty(), "nothing to train");
         options.clamp(&mut splats);
         let edges = vec![None; views.len()];
+        let exposures = Exposures::new(if options.exposure.is_some() { views.len() } else { 0 });
         Self {
             anisotropy: options.weights.anisotropy,
             options,
             views,
             model: Model::new(splats),
+            exposures,
             step: 0,
             was_reset: false,
             order: (u32::MAX, Vec::new()),
@@ -196,7 +205,7 @@ impl Trainer {
 
     /// Forward, losses, backward and the optimiser's step.
     fn descend(&mut self, view: usize, step: u32) -> StepReport {
-        let Self { options, views, model, work, .. } = self;
+        let Self { options, views, model, exposures, work, .. } = self;
         let photo = &views[view];
         let camera = &photo.camera;
         let (width, height) = (camera.width as usize, camera.height as usize);
@@ -233,7 +242,17 @@ impl Trainer {
 
         let c = &mut work.cotangents;
         c.rgb.resize(pixels, [0.0; 3]);
-        let photometric = work.photometric.evaluate(&work.frame.rgb, &work.target, weights.ssim, &mut c.rgb);
+        // The colours behind a matte belong to no photograph.
+        let exposure = options.exposure.filter(|_| !transparent);
+        let seen = if exposure.is_some() { exposures.expose(view, &work.frame.rgb) } else { &work.frame.rgb };
+        let photometric = work.photometric.evaluate(seen, &work.target, weights.ssim, &mut c.rgb);
+        let psnr = psnr(seen, work.target.rgb(), photo.mask.as_deref());
+        if let Some(rates) = exposure {
+            let by_map = exposures.pull_back(view, &work.frame.rgb, &mut c.rgb);
+            let t = f64::from(step) / f64::from(options.iterations.max(1));
+            // Every view has its turn once per epoch.
+            exposures.step(view, &by_map, rates, (step - 1) / views.len() as u32 + 1, t);
+        }
         let mut loss = photometric.total;
         c.alpha.clear();
         if transparent && weights.alpha > 0.0 {
@@ -296,7 +315,6 @@ impl Trainer {
             wander(&mut model.splats, mcmc, rates.mean, options.seed, step);
         }
         options.clamp(&mut model.splats);
-        let psnr = psnr(&work.frame.rgb, work.target.rgb(), photo.mask.as_deref());
         StepReport { step, l1: photometric.l1, ssim: photometric.ssim, loss, psnr, ..StepReport::default() }
     }
 
@@ -319,11 +337,12 @@ impl Trainer {
             }
             if at_interval {
                 self.control_needles();
+                self.clear_cameras();
             }
         }
         let due: Vec<f32> = self.options.prune.iter().filter(|e| e.step == step).map(|e| e.tau).collect();
         for tau in due {
-            let (mut gone, tau) = self.prune_internal(tau);
+            let (mut gone, tau) = if self.options.prune_auto { self.prune_cheaply() } else { self.prune_internal(tau) };
             if tau >= FRONT_TAU {
                 gone += self.prune_hidden();
             }
@@ -375,6 +394,56 @@ impl Trainer {
             return (0, tau);
         }
         (self.model.retain(|i| w_max[i] > tau), tau)
+    }
+
+    /// Removes as much of what no pixel shows as costs little (see [`Options::prune_auto`]).
+    fn prune_cheaply(&mut self) -> (usize, f32) {
+        let w_max = self.largest_weights();
+        let before = self.mean_psnr(None);
+        let affordable = |t: &mut Self, tau: f32| {
+            let keep: Vec<usize> = (0..w_max.len()).filter(|&i| w_max[i] > tau).collect();
+            !keep.is_empty() && t.mean_psnr(Some(&keep)) >= before - AUTO_LOSS
+        };
+        match AUTO_TAU.into_iter().find(|tau| affordable(self, *tau)) {
+            Some(tau) => (self.model.retain(|i| w_max[i] > tau), tau),
+            None => (0, 0.0),
+        }
+    }
+
+    /// Mean PSNR of the training views, drawn with the Gaussians `keep` only, over black \[dB\].
+    fn mean_psnr(&mut self, keep: Option<&[usize]>) -> f64 {
+        let Self { views, work, model, exposures, options, .. } = self;
+        match keep {
+            Some(keep) => work.gaussians.assign_splats(&model.splats.select(keep)),
+            None => work.gaussians.assign_splats(&model.splats),
+        }
+        let mut sum = 0.0;
+        for (k, photo) in views.iter().enumerate() {
+            let (width, height) = (photo.camera.width as usize, photo.camera.height as usize);
+            work.rasterizer.render(&work.gaussians, &photo.camera, &Settings::default(), Channels::Rgba, &mut work.frame);
+            if photo.channels == 4 {
+                work.target.composite_u8(width, height, &photo.pixels, [0.0; 3]);
+            } else {
+                work.target.set_u8(width, height, &photo.pixels);
+            }
+            let seen =
+                if photo.channels != 4 && options.exposure.is_some() { exposures.expose(k, &work.frame.rgb) } else { &work.frame.rgb };
+            sum += psnr(seen, work.target.rgb(), photo.mask.as_deref());
+        }
+        sum / views.len() as f64
+    }
+
+    /// Removes what stands where the training views see through (see [`Options::clearance`]).
+    fn clear_cameras(&mut self) {
+        let near: Vec<_> = self.views.iter().map(|v| v.camera).zip(self.options.clearance.iter().copied()).collect();
+        if near.is_empty() {
+            return;
+        }
+        let free = |x: &[f32; 3]| near.iter().any(|(camera, clear)| seen_depth(camera, *x).is_some_and(|z| z < *clear));
+        let gone: Vec<bool> = self.model.splats.mean.par_iter().map(free).collect();
+        if gone.contains(&false) {
+            self.model.retain(|i| !gone[i]);
+        }
     }
 
     /// For each Gaussian the number of training views in which it is blended while more than half of the light is left (at

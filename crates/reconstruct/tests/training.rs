@@ -1,9 +1,12 @@
 //! Small trainings from photographs of an analytic object.
 
 use megas_capture::{Capture, Photo, extent, seeds};
+use megas_math::vec3;
 use megas_metrics::assets::{Shape, Solid, camera_rig, photograph};
 use megas_model::Splats;
-use megas_reconstruct::{FinetuneOptions, Mcmc, Method, Options, Profile, PruneEvent, Region, Teacher, Trainer, initial_splats};
+use megas_reconstruct::{
+    Background, ExposureRates, FinetuneOptions, Mcmc, Method, Options, Profile, PruneEvent, Region, Teacher, Trainer, initial_splats,
+};
 
 const TORUS: Shape = Shape::Torus { major: 0.7, minor: 0.3 };
 
@@ -131,6 +134,92 @@ fn a_resumed_training_is_the_uninterrupted_one() {
         }
         same(whole.splats(), resumed.splats());
     }
+}
+
+/// Opaque views over grey, of which every other one was exposed half as long.
+fn unevenly_exposed(side: u32) -> Capture {
+    let mut c = capture(side);
+    for (k, p) in c.train.iter_mut().enumerate() {
+        let gain = if k % 2 == 0 { 1.0 } else { 0.5 };
+        let over = |px: &[u8]| {
+            let alpha = f32::from(px[3]) / 255.0;
+            [0, 1, 2].map(|k| (gain * (f32::from(px[k]) * alpha + 90.0 * (1.0 - alpha))) as u8)
+        };
+        p.pixels = p.pixels.chunks_exact(4).flat_map(over).collect();
+        p.channels = 3;
+    }
+    c
+}
+
+#[test]
+fn exposures_explain_uneven_photographs_and_resume() {
+    let capture = unevenly_exposed(48);
+    let start = initial_splats(&seeds(&capture, 600, 3));
+    let make = |exposure: bool| {
+        let mut o = options(&capture, Method::Vanilla, 150);
+        o.exposure = exposure.then(ExposureRates::default);
+        o.background = Background::Fixed([0.35; 3]);
+        Trainer::new(capture.train.clone(), start.clone(), o)
+    };
+    let last = |t: &mut Trainer| {
+        let mut l1 = 0.0;
+        while !t.done() {
+            let report = t.step();
+            l1 += if report.step > 130 { report.l1 / 20.0 } else { 0.0 };
+        }
+        l1
+    };
+    let without = last(&mut make(false));
+    let mut whole = make(true);
+    let mut saved = Vec::new();
+    while whole.step_count() < 77 {
+        whole.step();
+    }
+    whole.save(&mut saved).unwrap();
+    let with = last(&mut whole);
+    assert!(with < 0.7 * without, "{with} {without}");
+    let mut resumed = make(true);
+    resumed.load(&mut &saved[..], saved.len() as u64).unwrap();
+    last(&mut resumed);
+    same(whole.splats(), resumed.splats());
+    assert!(make(false).load(&mut &saved[..], saved.len() as u64).is_err());
+}
+
+#[test]
+fn pruning_by_its_cost_keeps_the_looks() {
+    let capture = capture(48);
+    let mut o = options(&capture, Method::PgsrPrune, 120);
+    o.prune_auto = true;
+    o.prune = vec![PruneEvent { step: 100, tau: 0.1 }];
+    let mut t = Trainer::new(capture.train.clone(), initial_splats(&seeds(&capture, 600, 3)), o);
+    let mut chosen = None;
+    while !t.done() {
+        chosen = t.step().internal.or(chosen);
+    }
+    let (_, tau) = chosen.unwrap();
+    assert!([0.0, 0.01, 0.02, 0.05, 0.1, 0.2].contains(&tau) && t.splats().len() > 50, "{chosen:?}");
+    assert!(test_psnr(&mut t, &capture) > 20.0);
+}
+
+#[test]
+fn nothing_stays_where_the_views_see_through() {
+    let capture = capture(32);
+    let mut o = options(&capture, Method::Vanilla, 20);
+    let far = Vec::from_iter(capture.train.iter().map(|p| vec3::norm(vec3::sub(p.camera.center(), [0.0; 3])) - 1.0));
+    o.clearance = far.iter().map(|d| 0.5 * d).collect();
+    let mut start = initial_splats(&seeds(&capture, 300, 3));
+    let before = start.len();
+    // A floater a tenth of the way from the first camera to the torus.
+    let eye = capture.train[0].camera.center();
+    let mut floater = start.select(&[0]);
+    floater.mean[0] = eye.map(|v| 0.9 * v);
+    start.append(&floater);
+    let mut t = Trainer::new(capture.train, start, o);
+    while t.step_count() < 10 {
+        t.step();
+    }
+    let near = t.splats().mean.iter().filter(|x| vec3::norm(vec3::sub(**x, eye)) < 0.4 * far[0]).count();
+    assert!(near == 0 && t.splats().len() >= before, "{near} {}", t.splats().len());
 }
 
 #[test]

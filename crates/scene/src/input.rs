@@ -130,6 +130,8 @@ pub struct Reconstruct {
     pub background: Option<Backdrop>,
     /// Grow by sampling (Markov chain Monte Carlo) instead of by thresholds.
     pub mcmc: bool,
+    /// Learn an exposure for every photograph: for photographs that were not taken with fixed exposure and white balance.
+    pub exposure: bool,
     /// Where the object is, in the coordinates of the poses; if left out, found from alpha or from a `scene.json` beside the photographs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub object_box: Option<BoxShape>,
@@ -150,6 +152,7 @@ impl Default for Reconstruct {
             max_gaussians: None,
             background: None,
             mcmc: false,
+            exposure: false,
             object_box: None,
             memory_gib: 8.0,
         }

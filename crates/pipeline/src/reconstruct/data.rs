@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use megas_capture::{Capture, Options as Loading, Photo, extent, load, seeds};
+use megas_capture::{Capture, CaptureError, Options as Loading, Photo, extent, load_unless, seeds};
 use megas_math::vec3;
 use megas_model::Splats;
 use megas_reconstruct::{Options, Region, initial_splats};
@@ -33,8 +33,8 @@ pub struct TrainingData {
 }
 
 impl TrainingData {
-    /// Loads the capture of a job and prepares its training; writes nothing.
-    pub fn load(job: &ReconstructJob) -> Result<Self, Failure> {
+    /// Loads the capture of a job and prepares its training, unless `stopped`; writes nothing.
+    pub fn load(job: &ReconstructJob, stopped: &(dyn Fn() -> bool + Sync)) -> Result<Self, Failure> {
         let s = &job.settings;
         if !(job.memory_gib > 0.0 && job.memory_gib.is_finite()) {
             return Err(Failure::Input(format!("memory budget: found {} GiB, expected more than 0", job.memory_gib)));
@@ -45,13 +45,17 @@ impl TrainingData {
             memory_budget_bytes: (job.memory_gib * f64::from(1 << 30)) as u64,
             ..Loading::default()
         };
-        let mut capture = load(&job.capture, &loading).map_err(|e| Failure::Input(e.to_string()))?;
+        let mut capture = load_unless(&job.capture, &loading, stopped).map_err(refused)?;
         if capture.points.is_none() && s.seeds_count == 0 {
             return Err(Failure::Input("seeds-count: found 0, expected at least 1, for the capture has no points".into()));
         }
         let region = object_region(&job.capture, &mut capture, s)?;
         let transparent = capture.train.iter().all(|p| p.channels == 4);
-        let options = trainer_options(s, extent(capture.train.iter().map(|p| &p.camera)), region, transparent)?;
+        let mut options = trainer_options(s, extent(capture.train.iter().map(|p| &p.camera)), region, transparent)?;
+        options.suit(&capture.train, capture.points.as_ref().map(|c| &c.position[..]));
+        if let (Some(r), Some(most)) = (&mut options.refinement, s.max_gaussians) {
+            r.most = most;
+        }
         // More than there may be in the end would only be thinned out.
         let count = options.refinement.map_or(s.seeds_count, |r| s.seeds_count.min(r.most));
         let start = initial_splats(&seeds(&capture, count, s.seed));
@@ -65,6 +69,14 @@ impl TrainingData {
     /// True if all photographs have alpha.
     pub fn transparent(&self) -> bool {
         self.capture.train.iter().all(|p| p.channels == 4)
+    }
+}
+
+/// What a capture's error means for the command.
+pub(crate) fn refused(error: CaptureError) -> Failure {
+    match error {
+        CaptureError::Stopped => Failure::Interrupted(error.to_string()),
+        _ => Failure::Input(error.to_string()),
     }
 }
 

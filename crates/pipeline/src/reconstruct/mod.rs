@@ -28,12 +28,13 @@ use measure::{TWO_PERCENT, measure, true_surface};
 use places::{Opened, Places};
 use training::{Preview, TrainingFolder, write_splats};
 
+pub(crate) use data::refused;
 pub(crate) use finetune::finetune_here;
 pub use finetune::{FinetuneJob, FinetuneSettings, finetune, plan_finetune};
 pub use log::ASPECT;
 pub use megas_reconstruct::Region;
 pub use plan::plan_reconstruct;
-pub use settings::{Backdrop, ReconstructJob, ReconstructSettings};
+pub use settings::{Backdrop, ReconstructJob, ReconstructSettings, TauPrune};
 
 /// Trains splats on a capture and returns the figures of the result.
 pub fn reconstruct(job: &ReconstructJob, sink: &dyn Sink) -> Result<Value, Failure> {
@@ -45,7 +46,7 @@ pub(crate) fn reconstruct_here(job: &ReconstructJob, label: &str, sink: &dyn Sin
     let places = Places::new(&job.output)?;
     sink.event(Event::Stage { name: "load", steps: 0 });
     let begin = Instant::now();
-    let data = TrainingData::load(job)?;
+    let data = TrainingData::load(job, &|| sink.cancelled())?;
     let surface = true_surface(&job.capture)?;
     sink.event(Event::StageDone { name: "load", seconds: begin.elapsed().as_secs_f64() });
     let (stage, found) = match places.open(data.key.clone(), job.force)? {

@@ -35,7 +35,7 @@ pub fn plan_reconstruct(job: &ReconstructJob) -> Result<Value, Failure> {
 /// As [`plan_reconstruct`] in the current pool of threads.
 fn plan_here(job: &ReconstructJob) -> Result<Value, Failure> {
     let places = Places::new(&job.output)?;
-    let data = TrainingData::load(job)?;
+    let data = TrainingData::load(job, &|| false)?;
     // With `force` a training of other settings would be removed here.
     if !job.force {
         places.open(data.key.clone(), false)?;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use megas_capture::Downscale;
-use megas_reconstruct::{Background, Mcmc, Method, Options, Profile, Region};
+use megas_reconstruct::{Background, ExposureRates, Mcmc, Method, Options, Profile, Region};
 
 use crate::Failure;
 
@@ -51,6 +51,19 @@ pub struct ReconstructSettings {
     pub cells: Option<u32>,
     /// Sampling strategy instead of thresholds.
     pub mcmc: bool,
+    /// An exposure for every photograph.
+    pub exposure: bool,
+    /// Threshold of internal-free pruning; the design's own if absent.
+    pub tau_prune: Option<TauPrune>,
+}
+
+/// Largest blend weight below which a Gaussian is removed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TauPrune {
+    /// As much as costs at most 0.1 dB.
+    Auto,
+    /// Of the last stages; the first stages use a fifth and a half of it.
+    Last(f32),
 }
 
 impl Default for ReconstructSettings {
@@ -68,6 +81,8 @@ impl Default for ReconstructSettings {
             object_box: None,
             cells: None,
             mcmc: false,
+            exposure: false,
+            tau_prune: None,
         }
     }
 }
@@ -116,6 +131,18 @@ pub fn trainer_options(s: &ReconstructSettings, extent: f32, region: Option<Regi
         r.most = s.max_gaussians.unwrap_or(r.most);
     }
     o.mcmc = s.mcmc.then(Mcmc::default);
+    o.exposure = s.exposure.then(ExposureRates::default);
+    match s.tau_prune {
+        Some(TauPrune::Auto) => o.prune_auto = true,
+        Some(TauPrune::Last(tau)) if !(tau > 0.0 && tau < 1.0) => {
+            return Err(Failure::Input(format!("tau-prune: found {tau}, expected a number between 0 and 1, or auto")));
+        }
+        Some(TauPrune::Last(tau)) => {
+            let last = o.prune.last().map_or(tau, |e| e.tau);
+            o.prune.iter_mut().for_each(|e| e.tau *= tau / last);
+        }
+        None => {}
+    }
     match s.background {
         Some(Backdrop::Black) => o.background = Background::Fixed([0.0; 3]),
         Some(Backdrop::White) => o.background = Background::Fixed([1.0; 3]),

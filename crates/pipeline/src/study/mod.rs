@@ -12,7 +12,7 @@ use megas_reconstruct::Method;
 use serde_json::{Value, json};
 
 use crate::disk::{write_json, write_text};
-use crate::reconstruct::{ReconstructJob, ReconstructSettings, reconstruct_here};
+use crate::reconstruct::{ReconstructJob, ReconstructSettings, reconstruct_here, refused};
 use crate::run::in_pool;
 use crate::{Event, Failure, Sink};
 
@@ -70,12 +70,12 @@ impl StudyJob {
     }
 
     /// The captures with their names; all must be there before hours are spent on the first.
-    fn named_captures(&self) -> Result<Vec<(String, &Path)>, Failure> {
+    fn named_captures(&self, sink: &dyn Sink) -> Result<Vec<(String, &Path)>, Failure> {
         let mut named: Vec<(String, &Path)> = Vec::new();
         for path in &self.captures {
             let loading =
                 megas_capture::Options { downscale: self.settings.downscale, eval_every: self.settings.eval_every, ..Default::default() };
-            let capture = megas_capture::load(path, &loading).map_err(|e| Failure::Input(e.to_string()))?;
+            let capture = megas_capture::load_unless(path, &loading, &|| sink.cancelled()).map_err(refused)?;
             if capture.test.is_empty() {
                 return Err(Failure::Input(format!("{}: no views are held out, so methods cannot be compared", path.display())));
             }
@@ -108,7 +108,7 @@ pub fn study(job: &StudyJob, sink: &dyn Sink) -> Result<Value, Failure> {
 
 fn study_here(job: &StudyJob, sink: &dyn Sink) -> Result<Value, Failure> {
     job.check()?;
-    let captures = job.named_captures()?;
+    let captures = job.named_captures(sink)?;
     let trainings = job.trainings();
     let planned = captures.len() * trainings.len();
     let mut assets: Vec<Asset> = Vec::new();
