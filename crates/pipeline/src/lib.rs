@@ -18,6 +18,7 @@ mod reconstruct;
 mod render;
 mod run;
 mod simulate;
+mod skin;
 mod source;
 mod stage;
 mod study;

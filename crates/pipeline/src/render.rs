@@ -8,7 +8,7 @@ use megas_formats::WriteOptions;
 use megas_model::{Camera, Image};
 use megas_raster::{Channels, ClipPlane, Frame, Gaussians, Rasterizer, Settings};
 use megas_scene::{CELSIUS_K, Film, Scene};
-use megas_skin::{InternalKernels, Push, Skin, SkinSettings, bake_splats};
+use megas_skin::bake_splats;
 use serde_json::{Value, json};
 
 use crate::body::{Bodies, scene_objects, total_height};
@@ -16,12 +16,16 @@ use crate::cameras::camera_paths;
 use crate::convert::resolve_material;
 use crate::disk::{create_dir, frame_path};
 use crate::simulate::read_frame;
+use crate::skin::{Dresser, forget};
 use crate::stage::StageDir;
 use crate::surface_meshes::SurfaceMeshes;
 use crate::{Event, Failure, LoadedScene, Options, Sink};
 
 /// Frames looked at for the range of the false colours.
 const RANGE_SAMPLES: u64 = 12;
+
+/// Share of opposing normals of neighbours that is worth a warning.
+const OPPOSING_LIMIT: f32 = 0.08;
 
 /// Everything that stays the same from frame to frame.
 struct Studio<'a> {
@@ -30,7 +34,7 @@ struct Studio<'a> {
     size: (u32, u32),
     style: ThermalStyle,
     background: Gaussians,
-    skin: Skin,
+    skin: Dresser,
     surface: usize,
     antialiased: bool,
     clip: Option<ClipPlane>,
@@ -57,7 +61,7 @@ pub fn render(
         size: scene.picture_size(),
         style: thermal_style(scene, bodies, simulated, total)?,
         background: Gaussians::from_splats(&bodies.background),
-        skin: skin(scene, bodies),
+        skin: Dresser::new(scene, bodies),
         surface: bodies.surface.len(),
         antialiased: bodies.meta.antialiased,
         clip: clip_plane(scene, &bodies.meta.placement()),
@@ -74,23 +78,33 @@ pub fn render(
     let mut posed = Gaussians::default();
     let splats = sequence(scene, &options.out)?;
     let mut meshes = SurfaceMeshes::create(scene, bodies, &options.out)?;
-    let mut clamped = 0;
-    for k in 0..total {
+    let wants_ply = |k: u64| {
+        splats.as_ref().filter(|_| k.is_multiple_of(u64::from(scene.output.ply_every.max(1)))).filter(|s| !s.path(k as u32).exists())
+    };
+    let mesh = |k: u64, meshes: &Option<SurfaceMeshes>| meshes.as_ref().is_some_and(|m| m.wants(k));
+    // Frames before the first that is missing are only gone through where the skin has no state of them.
+    let first =
+        (0..total).find(|&k| !studio.missing(&stage.path, k).is_empty() || wants_ply(k).is_some() || mesh(k, &meshes)).unwrap_or(total);
+    studio.skin.resume(&stage.path, first);
+    let begin = if first == total { total } else { studio.skin.next() };
+    for k in begin..total {
         if sink.cancelled() {
             return Err(Failure::Interrupted(format!("stopped at picture {k} of {total}; run the same command again to continue")));
         }
         let points = read_frame(simulated, k)?;
-        studio.skin.advance(&points);
         let wanted = studio.missing(&stage.path, k);
         if let Some(m) = meshes.as_mut().filter(|m| m.wants(k)) {
             m.write(k, bodies, &points)?;
         }
-        let ply = splats.as_ref().filter(|_| k % u64::from(scene.output.ply_every.max(1)) == 0).filter(|s| !s.path(k as u32).exists());
-        if wanted.is_empty() && ply.is_none() {
+        let ply = wants_ply(k);
+        let viewers: Vec<Camera> = (0..studio.paths.len()).map(|c| studio.view(c, k)).collect();
+        let drawn = !wanted.is_empty() || ply.is_some();
+        studio.skin.frame(&points, &viewers, drawn, &mut posed);
+        studio.skin.keep(&stage.path)?;
+        if !drawn {
             sink.event(Event::Step { done: k + 1 });
             continue;
         }
-        clamped = studio.skin.pose(&points, &mut posed);
         if let Some(sequence) = ply {
             let mut baked = bake_splats(&posed, studio.surface);
             baked.append(&bodies.background);
@@ -121,10 +135,26 @@ pub fn render(
         }
     }
     let gaussians = posed.len().max(bodies.surface.len() + bodies.background.len());
-    let mut figures = json!({"films": films, "gaussians": gaussians, "needles_clamped_last_frame": clamped});
+    let skin = &studio.skin;
+    if skin.worst_normals > OPPOSING_LIMIT {
+        sink.event(Event::Warning(&format!(
+            "up to {:.0} % of neighbouring surface normals oppose each other: sealed cracks may be shaded wrongly",
+            100.0 * skin.worst_normals
+        )));
+    }
+    let mut figures = json!({"films": films, "gaussians": gaussians, "needles_clamped_last_frame": skin.clamped});
     if let Some(m) = &meshes {
         figures["mesh"] = m.figures();
     }
+    if skin.remembers() {
+        let shown = skin.report.shown;
+        figures["skin"] = json!({
+            "kernels_last_frame": shown, "kernels_most": skin.most_kernels,
+            "toggles_per_kernel_and_frame": skin.toggles / (skin.most_kernels.max(1) as f64 * total as f64),
+            "opposing_normals_worst": skin.worst_normals,
+        });
+    }
+    forget(&stage.path, total);
     stage.finish(&figures)?;
     Ok(figures)
 }
@@ -143,29 +173,6 @@ fn sequence(scene: &Scene, out: &Path) -> Result<Option<PlySequence>, Failure> {
     }
     let options = WriteOptions { overwrite: true, ..WriteOptions::default() };
     PlySequence::create(out.join("splats"), options).map(Some).map_err(|e| Failure::Input(e.to_string()))
-}
-
-fn skin(scene: &Scene, bodies: &Bodies) -> Skin {
-    let m = &bodies.meta;
-    let unit = m.similarity.metres_per_unit;
-    let size: [f64; 3] = std::array::from_fn(|a| m.box_max[a] - m.box_min[a]);
-    let tau_scale = (0.01 * megas_math::vec3::norm(size)).min(0.5 * m.dx_m) / unit;
-    let settings = SkinSettings {
-        push: match scene.skin.push {
-            megas_scene::Push::Elastic => Push::Elastic,
-            megas_scene::Push::Total => Push::Total,
-            megas_scene::Push::Rotation => Push::Rotation,
-        },
-        needle_aspect: scene.skin.max_stretch,
-        needle_size: 2.0 * tau_scale,
-    };
-    // Particles stand half a cell apart; κ = 0.55 of their distance makes them nearly opaque together and keeps
-    // edges crisp (splatting.md §7.2 has 0.7, which blurs them).
-    let radius = if scene.skin.show_inside { (0.55 * 0.5 * m.dx_m / unit) as f32 } else { 0.0 };
-    let inside = bodies.points.position[bodies.surface.len()..].iter();
-    let position = inside.map(|x| m.similarity.to_scene(*x).map(|v| v as f32)).collect();
-    let internal = InternalKernels { colour: bodies.internal_rgb.clone(), position, radius };
-    Skin::new(bodies.surface.clone(), internal, m.similarity, settings)
 }
 
 /// Where the light comes from that melts mirror, simulator axes: high, a little from the side.

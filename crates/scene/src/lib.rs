@@ -27,6 +27,7 @@ mod schema;
 mod semantic;
 mod settings;
 mod shape;
+mod skin;
 mod still;
 mod value;
 
@@ -42,10 +43,9 @@ pub use output::{Appearance, Clip, Film, MeshKind, Output};
 pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
 pub use scene::{Clock, Scene};
 pub use schema::json_schema;
-pub use settings::{
-    Air, AirMode, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Push, Quality, Simulation, Skin, Time,
-};
+pub use settings::{Air, AirMode, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Quality, Simulation, Time};
 pub use shape::{BoxShape, Frame, HalfSpace, HeightShape, MeshShape, Placement, Plane, Sphere, Tube};
+pub use skin::{CrackKernel, KernelRadius, Push, Skin, SurfaceNormals, SurfaceRule};
 pub use still::{BodyForm, InputBody, Pattern, Table};
 pub use value::{Auto, Colour, Up};
 

@@ -16,7 +16,8 @@ use crate::material::{MaterialContext, MaterialSpec};
 use crate::material_checks::StepLimits;
 use crate::object::Object;
 use crate::output::{Appearance, Output};
-use crate::settings::{Air, Fill, HeatTransfer, PhaseMode, Preset, Quality, Simulation, Skin, Time};
+use crate::settings::{Air, Fill, HeatTransfer, PhaseMode, Preset, Quality, Simulation, Time};
+use crate::skin::Skin;
 use crate::still::InputBody;
 use crate::{CELSIUS_K, presets, semantic};
 
@@ -206,7 +207,8 @@ impl Scene {
         self.materials.get(name).cloned().or_else(|| presets::preset(name).map(|p| MaterialSpec::from_preset(p.name)))
     }
 
-    fn is_literal(&self) -> bool {
+    /// Whether everything is to be as the paper writes it.
+    pub fn is_literal(&self) -> bool {
         self.preset == Preset::Paper
     }
 

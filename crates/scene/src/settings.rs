@@ -311,37 +311,3 @@ impl Default for Fill {
         Self { directions: 6, tau_alpha: Auto::Value(0.5), jitter: 0.25, open_bottom: OpenBottom::Auto, normal_views: 64, tracers: None }
     }
 }
-
-/// What deforms the splats (splatting.md §8.2).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Push {
-    /// The elastic deformation: melt keeps round splats.
-    #[default]
-    Elastic,
-    /// The total deformation, limited: splats stretch with the flow.
-    Total,
-    /// Rotation only.
-    Rotation,
-}
-
-/// How splats follow the points.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Skin {
-    /// What deforms the splats: "elastic", "total" or "rotation".
-    pub push: Push,
-    /// Longest over middle axis of a splat is kept below this, 1–100; large switches the needle clamp off.
-    #[schemars(range(min = 1.0, max = 100.0))]
-    pub max_stretch: f64,
-    /// Show the filled inside where the surface opens.
-    pub show_inside: bool,
-    /// Patch the background under the object where nobody ever saw it.
-    pub patch_background: bool,
-}
-
-impl Default for Skin {
-    fn default() -> Self {
-        Self { push: Push::Elastic, max_stretch: 4.0, show_inside: true, patch_background: true }
-    }
-}

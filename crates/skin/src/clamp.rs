@@ -25,6 +25,9 @@ impl NeedleLimit {
 /// Clamps the covariance to `limit`; returns the (possibly unchanged) covariance and whether it was clamped. Continuous in
 /// the input.
 pub fn clamp_covariance(sigma: Mat3<f64>, limit: NeedleLimit) -> (Mat3<f64>, bool) {
+    if limit.aspect == f64::INFINITY {
+        return (sigma, false);
+    }
     let (w, r) = svd::eigen_symmetric(sigma);
     let s = w.map(|v| v.max(0.0).sqrt());
     let s2 = s[1].min(limit.size);

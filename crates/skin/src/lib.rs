@@ -7,10 +7,11 @@ pub mod densify;
 pub mod imls;
 pub mod mesh;
 mod push;
+mod realign;
 mod rows;
 mod skin;
 
 pub use bake::bake_splats;
 pub use clamp::{NeedleLimit, clamp_covariance};
 pub use push::{Pushed, push_forward, rebase_covariance};
-pub use skin::{InternalKernels, Push, Skin, SkinSettings};
+pub use skin::{InternalKernels, Push, Skin, SkinSettings, SkinState};

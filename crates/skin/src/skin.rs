@@ -2,7 +2,7 @@
 
 use megas_body::neighbours::Neighbours;
 use megas_math::{Mat3, mat3, sh};
-use megas_model::{FLAG_ESCAPED, PointFrame, Similarity, Splats};
+use megas_model::{FLAG_ESCAPED, Phase, PointFrame, Similarity, Splats};
 use megas_raster::{Gaussians, pack_covariance};
 use rayon::prelude::*;
 
@@ -27,8 +27,17 @@ pub struct SkinSettings {
     pub push: Push,
     /// Needle clamp: largest aspect ρ = S¹/S² (default 4).
     pub needle_aspect: f64,
-    /// Needle clamp: largest standard deviation τ_def \[scene units\].
+    /// Needle clamp: largest standard deviation τ_def \[scene units\]; infinite with an infinite aspect switches it off.
     pub needle_size: f64,
+}
+
+/// What the frames so far have left in a [`Skin`]: all that the next ones depend on.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SkinState {
+    /// Covariances at rest, rebased and realigned, row by row.
+    pub sigma0: Vec<[f64; 9]>,
+    /// Rotations at rest by realignment; empty: none.
+    pub turned: Vec<[f64; 9]>,
 }
 
 /// Kernels of the filled inside, which become visible where the surface opens. Points follow the surface points in the
@@ -53,6 +62,8 @@ pub struct Skin {
     settings: SkinSettings,
     /// Covariances at rest, rebased; scene axes.
     sigma0: Vec<Mat3<f64>>,
+    /// Rotation at rest that realignment has given each Gaussian; empty: none.
+    turned: Vec<Mat3<f64>>,
     limits: Vec<NeedleLimit>,
     /// Standard deviations of the internal kernels; empty shows none.
     radii: Vec<f32>,
@@ -72,7 +83,7 @@ impl Skin {
         let sigma0: Vec<Mat3<f64>> = (0..surface.len()).into_par_iter().map(|i| mat3::cast(surface.covariance(i))).collect();
         let limits = sigma0.par_iter().map(|&s| NeedleLimit::new(s, settings.needle_aspect, settings.needle_size)).collect();
         let radii = if internal.radius > 0.0 { internal_radii(&surface, &internal) } else { Vec::new() };
-        Self { surface, internal, similarity, settings, sigma0, limits, radii }
+        Self { surface, internal, similarity, settings, sigma0, turned: Vec::new(), limits, radii }
     }
 
     /// Number of points a frame must have.
@@ -92,6 +103,72 @@ impl Skin {
                 *s = rebase_covariance(similarity.map_to_scene(b), *s);
             }
         });
+    }
+
+    /// What [`Skin::restore`] needs to go on after this frame.
+    pub fn state(&self) -> SkinState {
+        let flat = |m: &Mat3<f64>| std::array::from_fn(|k| m[k / 3][k % 3]);
+        SkinState { sigma0: self.sigma0.iter().map(flat).collect(), turned: self.turned.iter().map(flat).collect() }
+    }
+
+    /// Continues after the frame that left `state`. `false`, and nothing changes, where it belongs to another body.
+    pub fn restore(&mut self, state: &SkinState) -> bool {
+        let n = self.surface.len();
+        if state.sigma0.len() != n || !(state.turned.is_empty() || state.turned.len() == n) {
+            return false;
+        }
+        let square = |m: &[f64; 9]| std::array::from_fn(|r| std::array::from_fn(|c| m[3 * r + c]));
+        self.sigma0 = state.sigma0.iter().map(square).collect();
+        self.turned = state.turned.iter().map(square).collect();
+        true
+    }
+
+    /// Turns molten Gaussians towards the surface, for the frames that follow (splatting.md §7.5). `normal_at` gives the surface
+    /// normal at Gaussian `i` of the `posed` set, zero where none is known. Returns how many turned.
+    pub fn realign(&mut self, frame: &PointFrame, posed: &Gaussians, dt: f32, normal_at: &(dyn Fn(usize) -> [f32; 3] + Sync)) -> usize {
+        let molten = |i: usize| matches!(frame.phase[i], p if p == Phase::Liquid as u8 || p == Phase::Mushy as u8);
+        let turns: Vec<Option<Mat3<f64>>> = (0..self.surface.len())
+            .into_par_iter()
+            .with_min_len(64)
+            .map(|i| {
+                if !molten(i) {
+                    return None;
+                }
+                let n = normal_at(i);
+                let covariance = mat3::cast(megas_raster::unpack_covariance(posed.covariance[i]));
+                let q = if n == [0.0; 3] { None } else { crate::realign::turn(covariance, n.map(f64::from), f64::from(dt)) }?;
+                // In the material, so that whatever turns the body later turns this along. A pure rotation there: undoing the
+                // strain of the moment as well would leave a needle once the strain has relaxed.
+                let r = megas_math::svd::polar_rotation(self.gradient(frame, i));
+                Some(mat3::mul(mat3::transpose(r), mat3::mul(q, r)))
+            })
+            .collect();
+        let count = turns.iter().flatten().count();
+        if count > 0 && self.turned.is_empty() {
+            self.turned = vec![mat3::identity(); self.surface.len()];
+        }
+        for (i, t) in turns.iter().enumerate() {
+            if let Some(turn) = t {
+                self.sigma0[i] = rebase_covariance(*turn, self.sigma0[i]);
+                self.turned[i] = mat3::mul(*turn, self.turned[i]);
+            }
+        }
+        count
+    }
+
+    /// Position of a point of the frame \[scene units\].
+    pub fn place(&self, si: [f32; 3]) -> [f32; 3] {
+        self.similarity.to_scene(si.map(f64::from)).map(|v| v as f32)
+    }
+
+    /// The matrix that carries Gaussian `i`, scene axes.
+    fn gradient(&self, frame: &PointFrame, i: usize) -> Mat3<f64> {
+        let f = match self.settings.push {
+            Push::Elastic => unflatten(&frame.elastic[i]),
+            Push::Total => unflatten(&frame.total[i]),
+            Push::Rotation => megas_math::svd::polar_rotation(unflatten(&frame.total[i])),
+        };
+        self.similarity.map_to_scene(f)
     }
 
     /// Writes the posed surface (and internal kernels) into `out`, in the order of the points. Returns how many surface
@@ -130,19 +207,11 @@ impl Skin {
         clamped
     }
 
-    fn place(&self, si: [f32; 3]) -> [f32; 3] {
-        self.similarity.to_scene(si.map(f64::from)).map(|v| v as f32)
-    }
-
     fn pose_surface(&self, frame: &PointFrame, i: usize) -> (Posed, bool) {
-        let f = match self.settings.push {
-            Push::Elastic => unflatten(&frame.elastic[i]),
-            Push::Total => unflatten(&frame.total[i]),
-            Push::Rotation => megas_math::svd::polar_rotation(unflatten(&frame.total[i])),
-        };
-        let pushed = push_forward(self.similarity.map_to_scene(f), self.sigma0[i]);
+        let pushed = push_forward(self.gradient(frame, i), self.sigma0[i]);
         let (covariance, clamped) = clamp_covariance(pushed.covariance, self.limits[i]);
-        let r = mat3::cast::<f64, f32>(pushed.rotation);
+        let turned = self.turned.get(i).map_or(pushed.rotation, |t| mat3::mul(pushed.rotation, *t));
+        let r = mat3::cast::<f64, f32>(turned);
         let normal = self.similarity.direction_to_scene(frame.normal[i].map(f64::from)).map(|v| v as f32);
         let posed = Posed {
             mean: self.place(frame.position[i]),

@@ -25,6 +25,8 @@ pub(crate) struct Object {
     /// Surface Gaussians that can be seen, and their base colours in row order.
     pub rows: Rows,
     pub rgb: Vec<[f32; 3]>,
+    /// How much each covers: opacity times area.
+    pub cover: Vec<f32>,
     pub spacing: f32,
 }
 
@@ -46,7 +48,8 @@ pub(crate) fn fresh(object: Option<&Object>, x: Vec3<f32>, inside: [f32; 3], del
     o.rows.nearest(x, COLOURS, 2.0 * delta, far, found);
     let (mut rgb, mut total) = ([0.0f32; 3], 0.0f32);
     for &(d2, s) in found.iter() {
-        let w = 1.0 / (d2 + 0.01 * delta * delta);
+        // The design weighs by distance alone; but a sprinkle of fifty small Gaussians must not outvote the icing around it.
+        let w = o.cover[s as usize] / (d2 + 0.01 * delta * delta);
         rgb = vec3::add_scaled(rgb, o.rgb[s as usize], w);
         total += w;
     }
@@ -54,7 +57,7 @@ pub(crate) fn fresh(object: Option<&Object>, x: Vec3<f32>, inside: [f32; 3], del
         Some(nearest) => {
             let d = nearest.0.sqrt() / o.spacing;
             let own = ((d - OWN_COLOUR[0]) / (OWN_COLOUR[1] - OWN_COLOUR[0])).clamp(0.0, 1.0);
-            vec3::lerp(vec3::scale(rgb, 1.0 / total), inside, own)
+            vec3::lerp(vec3::scale(rgb, 1.0 / total.max(1e-30)), inside, own)
         }
         None => inside,
     };
@@ -86,4 +89,12 @@ pub(crate) fn place(s: &DensifySettings, x: Vec3<f32>, up: Vec3<f32>, delta: f32
 pub(crate) fn base_rgb(g: &Gaussians, i: usize) -> [f32; 3] {
     let c = &g.sh[i * g.sh_stride()..];
     [sh::rgb_from_dc(c[0]), sh::rgb_from_dc(c[1]), sh::rgb_from_dc(c[2])].map(|v| v.clamp(0.0, 1.0))
+}
+
+/// Opacity times the area of a Gaussian's largest cross-section: the root of the sum of the principal minors of its covariance,
+/// which for a disc is `S¹S²`.
+pub(crate) fn cover(g: &Gaussians, i: usize) -> f32 {
+    let [xx, xy, xz, yy, yz, zz] = g.covariance[i];
+    let minors = (xx * yy - xy * xy) + (xx * zz - xz * xz) + (yy * zz - yz * yz);
+    g.opacity[i] * minors.max(1e-30).sqrt()
 }

@@ -111,6 +111,8 @@ pub struct Densifier {
     anatomy: Anatomy,
     objects: Vec<u16>,
     state: DensifyState,
+    /// Scores of the particles at rest; empty: all 0.
+    rest: Vec<f32>,
     detector: Detector,
     seen: Seen,
     /// Surface normals of this frame.
@@ -134,12 +136,28 @@ impl Densifier {
             anatomy,
             objects,
             state: DensifyState::default(),
+            rest: Vec::new(),
             detector: Detector::default(),
             seen: Seen::default(),
             normals: Vec::new(),
             drawn: Vec::new(),
             fields: Vec::new(),
         }
+    }
+
+    /// Looks at the bodies as they were reconstructed. A skin that lets some light through looked right like that, so later only what
+    /// shows more of a particle than then counts. Without this call all of it counts. Call it before the first frame; it is no part of
+    /// the state, so call it again before [`Densifier::restore`].
+    pub fn see_at_rest(&mut self, frame: &Deformed<'_>, viewers: &[Camera]) {
+        let surfaces = self.anatomy.surface_object.len();
+        let kept = std::mem::take(&mut self.state);
+        self.rest.clear();
+        let hysteresis = std::mem::replace(&mut self.settings.hysteresis, false);
+        self.advance(frame, viewers, 0.0);
+        self.settings.hysteresis = hysteresis;
+        self.rest = (0..frame.inside.len()).map(|j| self.score(surfaces + j)).collect();
+        self.state = kept;
+        self.drawn.clear();
     }
 
     /// What the last frame left.
@@ -286,7 +304,9 @@ impl Densifier {
         let surfaces = self.anatomy.surface_object.len();
         let mut toggles = 0.0;
         for j in 0..self.state.fade.len() {
+            // A particle that is fully in the open counts, however it was at rest.
             let q = self.score(surfaces + j);
+            let q = self.rest.get(j).map_or(q, |r| if q > 0.6 { q } else { q - 1.2 * r });
             let f = &mut self.state.fade[j];
             let before = f.amount;
             f.advance(q, dt, first, self.settings.hysteresis);
@@ -325,6 +345,7 @@ impl Densifier {
             let options = ImlsSettings { spacing: Some(spacing), robust: self.settings.robust, ..ImlsSettings::default() };
             let rows = Rows::new(&set.position, 1.5 * spacing.max(1e-9));
             let rgb = rows.item.iter().map(|&i| kernels::base_rgb(frame.surface, mine[i as usize] as usize)).collect();
+            let cover = rows.item.iter().map(|&i| kernels::cover(frame.surface, mine[i as usize] as usize)).collect();
             let mut field = Imls::new(&set, &options);
             if let Some(skin) = field.as_ref().filter(|_| self.settings.extend) {
                 let of_mine: Vec<u32> = drawn.iter().copied().filter(|&j| self.anatomy.inside_object[j as usize] == number).collect();
@@ -335,7 +356,7 @@ impl Densifier {
                     field = Imls::new(&set, &options);
                 }
             }
-            fields.push(field.map(|field| Object { number, field, rows, rgb, spacing }));
+            fields.push(field.map(|field| Object { number, field, rows, rgb, cover, spacing }));
         }
         report.opposing_normals = opposing / samples.max(1) as f32;
         self.fields = fields;
@@ -412,6 +433,14 @@ impl Densifier {
     /// Whether surface Gaussian `i` could be seen in the last frame.
     pub fn is_visible(&self, i: usize) -> bool {
         self.score(i) >= VISIBLE
+    }
+
+    /// Normal of the implicit surface at surface Gaussian `i`, which stands at `x`; zero where it is not part of that surface:
+    /// buried, or more than a spacing away from it.
+    pub fn surface_normal_of_field(&self, i: usize, x: Vec3<f32>) -> Vec3<f32> {
+        let Some(f) = self.field(self.anatomy.surface_object[i]).filter(|_| self.is_visible(i)) else { return [0.0; 3] };
+        let v = f.evaluate(x);
+        if v.value.abs() < f.spacing() { v.normal() } else { [0.0; 3] }
     }
 
     /// The implicit surface of an object in the last frame.

@@ -191,3 +191,26 @@ fn touching_objects_keep_their_own_surfaces_and_colours() {
         assert!((rgb[0] > 0.8) == right && (rgb[2] > 0.8) != right, "{rgb:?}");
     }
 }
+
+#[test]
+fn what_shone_through_at_rest_does_not_count_as_a_crack() {
+    // A skin of half-transparent discs: without the look at rest its inside comes through, with it only where the skin is gone.
+    let mut b = ball(4000, 0.12);
+    b.surface.opacity.fill(0.4);
+    let settings = DensifySettings { resolution: [96, 128], ..DensifySettings::default() };
+    let shown = |rest: Option<&Ball>, b: &Ball| {
+        let mut d = Densifier::new(b.anatomy.clone(), settings);
+        if let Some(r) = rest {
+            d.see_at_rest(&r.frame(), &[]);
+        }
+        d.advance(&b.frame(), &[], 1.0 / 24.0);
+        d.drawn().collect::<Vec<u32>>()
+    };
+    assert!(shown(None, &b).len() > 500);
+    assert_eq!(shown(Some(&b), &b).len(), 0);
+    let mut torn = Ball { anatomy: b.anatomy.clone(), surface: b.surface.clone(), inside: b.inside.clone() };
+    torn.surface.visible = b.surface.mean.iter().map(|m| m[2] < 0.6).collect();
+    let out = shown(Some(&b), &torn);
+    let above = out.iter().filter(|&&j| b.inside[j as usize][2] > 0.4).count();
+    assert!(above > 40 && above * 10 > 9 * out.len(), "{above} of {}", out.len());
+}
