@@ -160,7 +160,7 @@ fn slump_test() -> Outcome {
         .function("Tresca", 0.02, 0.6, move |t| theory(2.0, t))
         .ours("ours", measured);
     Outcome::from(rows).plot(plot).note(
-        "At τ* = 0.05 the cylinder is still creeping after the four seconds of the run (0.528 after two at κ = 50 Pa s): the theory knows no viscosity.",
+        "At τ* = 0.05 the slump is too small. It may still be creeping when the run ends (a thicker melt gave 0.528 after two seconds), for the theory knows no viscosity; a longer run was not made.",
     )
 }
 
@@ -194,7 +194,7 @@ fn sand() -> Outcome {
             .ours(format!("a = {aspect}"), contour);
     }
     Outcome::from(rows).plot(plot).note(
-        "The run-out is that of 99 % of the sand; in a cone its edge lies 6 % further out, which accounts for a part of what is missing. \
-         Five millimetre cells are a third of the depth of the front, and the sticky floor holds the lowest one.",
+        "The run-out is that of 99 % of the sand; if the heap were a cone, its edge would lie 6 % further out. \
+         What else is missing is not known: neither the size of the cells nor the sticky floor was varied.",
     )
 }
