@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use megas_pipeline::{Carry, ClaimsJob, Contender, Downscale, Profile, ReconstructSettings, Scope};
 
-use crate::train_args::{downscale, gibibytes, profiles};
+use crate::train_args::{downscale, gibibytes, named_list, profiles};
 
 /// Pictures per deformation, and with `--quick`.
 const VIEWS: usize = 24;
@@ -59,19 +59,8 @@ pub struct ClaimsArgs {
 pub struct Contenders(Vec<Contender>);
 
 fn contenders(text: &str) -> Result<Contenders, String> {
-    if text == "all" {
-        return Ok(Contenders(Contender::ALL.to_vec()));
-    }
-    let mut list = Vec::new();
-    for name in text.split(',').map(str::trim) {
-        let found = Contender::ALL.into_iter().find(|m| m.id().eq_ignore_ascii_case(name));
-        let names = || Contender::ALL.map(|m| format!("{} ({})", m.id(), m.name())).join(", ");
-        let method = found.ok_or_else(|| format!("no method '{name}'; there are {} and all", names()))?;
-        if !list.contains(&method) {
-            list.push(method);
-        }
-    }
-    Ok(Contenders(list))
+    let show = |m: Contender| format!("{} ({})", m.id(), m.name());
+    named_list(text, &Contender::ALL, |m, name| m.id().eq_ignore_ascii_case(name), show).map(Contenders)
 }
 
 impl ClaimsArgs {

@@ -355,19 +355,29 @@ pub struct StudyArgs {
 pub struct MethodList(Vec<Method>);
 
 fn method_list(text: &str) -> Result<MethodList, String> {
+    named_list(text, &Method::ALL, |m, name| m.name() == name, |m| m.name().to_owned()).map(MethodList)
+}
+
+/// Methods separated by commas, each once, or `all` of them. `is` tells which a name means, `show` names one in a message.
+pub(crate) fn named_list<T: Copy + PartialEq>(
+    text: &str,
+    all: &[T],
+    is: impl Fn(T, &str) -> bool,
+    show: impl Fn(T) -> String,
+) -> Result<Vec<T>, String> {
     if text == "all" {
-        return Ok(MethodList(Method::ALL.to_vec()));
+        return Ok(all.to_vec());
     }
-    let names = || Method::ALL.map(Method::name).join(", ");
+    let names = || all.iter().map(|&m| show(m)).collect::<Vec<_>>().join(", ");
     let mut list = Vec::new();
     for name in text.split(',').map(str::trim) {
-        let found = Method::ALL.into_iter().find(|m| m.name() == name);
+        let found = all.iter().copied().find(|&m| is(m, name));
         let method = found.ok_or_else(|| format!("no method '{name}'; there are {} and all", names()))?;
         if !list.contains(&method) {
             list.push(method);
         }
     }
-    Ok(MethodList(list))
+    Ok(list)
 }
 
 impl StudyArgs {

@@ -7,6 +7,7 @@ use megas_sim::material::{Law, Material, PhaseMode, Rheology};
 use megas_sim::mechanics::{FlowStiffness, Mechanics, Settings};
 use megas_sim::particles::{FLUID, Particles};
 
+use crate::block::Size;
 use crate::timing;
 
 /// Options.
@@ -33,16 +34,6 @@ pub struct Args {
     /// Also integrate the total deformation gradient, as a film does
     #[arg(long)]
     total: bool,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Size {
-    #[value(name = "25k")]
-    K25,
-    #[value(name = "200k")]
-    K200,
-    #[value(name = "1m")]
-    M1,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
@@ -83,11 +74,7 @@ fn shuffled(n: usize) -> Vec<usize> {
 }
 
 fn scene(args: &Args) -> Result<(Particles, Grid), String> {
-    let dims: [usize; 3] = match args.size {
-        Size::K25 => [25, 40, 25],
-        Size::K200 => [50, 80, 50],
-        Size::M1 => [100, 100, 100],
-    };
+    let dims: [usize; 3] = args.size.sites();
     let dx = 1.0 / args.grid as f64;
     let h = 0.5 * dx;
     let grid = Grid { origin: [0.0; 3], spacing: dx, nodes: [args.grid; 3] };

@@ -1,5 +1,6 @@
 //! Benchmark scenes: one JSON line on standard output, nothing else (see `--help`).
 
+mod block;
 mod c1;
 mod lattice;
 mod m1;

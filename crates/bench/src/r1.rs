@@ -3,6 +3,7 @@
 use megas_skin::mesh::{MeshSettings, Surface, Topology, particle_mesh};
 use serde_json::json;
 
+use crate::block::Size;
 use crate::timing;
 
 /// Options.
@@ -28,25 +29,11 @@ pub struct Args {
     reps: usize,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Size {
-    #[value(name = "25k")]
-    K25,
-    #[value(name = "200k")]
-    K200,
-    #[value(name = "1m")]
-    M1,
-}
-
 /// Grid cells along the unit box.
 const GRID: f64 = 64.0;
 
 fn points(size: Size, jitter: f64) -> Vec<[f32; 3]> {
-    let n: [usize; 3] = match size {
-        Size::K25 => [25, 40, 25],
-        Size::K200 => [50, 80, 50],
-        Size::M1 => [100, 100, 100],
-    };
+    let n: [usize; 3] = size.sites();
     let dx = 1.0 / GRID;
     let h = 0.5 * dx;
     let start = [0.5 - n[0] as f64 * h / 2.0, 4.0 * dx, 0.5 - n[2] as f64 * h / 2.0];

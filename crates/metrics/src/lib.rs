@@ -11,3 +11,5 @@ pub mod mesh_quality;
 pub mod mesh_view;
 pub mod splats;
 pub mod surface;
+#[cfg(test)]
+mod test_shapes;

@@ -243,31 +243,13 @@ fn cross(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// A sphere of radius 1 whose vertices carry their position as colour.
-    fn ball(n: usize) -> Mesh {
-        let mut m = Mesh::default();
-        for i in 0..=n {
-            for k in 0..2 * n {
-                let (z, r) = (std::f64::consts::PI * (i as f64 / n as f64 - 0.5)).sin_cos();
-                let (s, c) = (std::f64::consts::PI * k as f64 / n as f64).sin_cos();
-                m.positions.push([(r * c) as f32, (r * s) as f32, z as f32]);
-            }
-        }
-        for i in 0..n {
-            for k in 0..2 * n {
-                let at = |i: usize, k: usize| (i * 2 * n + k % (2 * n)) as u32;
-                m.triangles.push([at(i, k), at(i, k + 1), at(i + 1, k + 1)]);
-                m.triangles.push([at(i, k), at(i + 1, k + 1), at(i + 1, k)]);
-            }
-        }
-        m.colours = m.positions.clone();
-        m
-    }
+    use crate::test_shapes::ball;
 
     #[test]
     fn depth_and_attributes_of_a_ball_are_those_of_the_rays() {
-        let m = ball(200);
+        // The vertices carry their position as colour.
+        let mut m = ball(200);
+        m.colours = m.positions.clone();
         let pin = Camera::look_at([2.0, 2.5, 1.0], [0.1, 0.0, 0.1], [0.0, 0.0, 1.0], 0.7, 90, 70);
         let flat = Camera::orthographic([0.1, 0.0, 0.1], [-1.0, 0.3, -0.4], [0.0, 0.0, 1.0], 1.2, 3.0, 90, 70);
         for camera in [pin, flat] {

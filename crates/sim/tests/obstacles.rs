@@ -3,7 +3,7 @@
 use megas_model::{FLAG_INTERNAL, Points};
 use megas_sim::collider::{Collider, Conductor, Shape, Thermal};
 use megas_sim::grid::Grid;
-use megas_sim::material::{Law, Material, PhaseMode, Rheology};
+use megas_sim::material::{Material, Rheology};
 use megas_sim::phase::PhaseOptions;
 use megas_sim::schedule::{Motion, PoseKey};
 use megas_sim::solver::{Coupling, Solver, SolverConfig};
@@ -15,24 +15,14 @@ fn rubber() -> Material {
     let (shear_modulus, bulk_modulus) = Material::moduli(2e5, 0.3);
     Material {
         name: "rubber".into(),
-        law: Law::Hencky,
-        density: 1000.0,
         shear_modulus,
         bulk_modulus,
-        solid_yield_stress: f64::INFINITY,
         melt_shear_modulus: shear_modulus,
         melt: Rheology { yield_stress: 0.0, consistency: 1.0, index: 1.0 },
-        arrhenius_k: 0.0,
-        softening: 0.0,
-        reference_temperature: 293.15,
         heat_capacity_solid: 1000.0,
         heat_capacity_liquid: 1000.0,
         conductivity_solid: 5.0,
         conductivity_liquid: 5.0,
-        latent_heat: 0.0,
-        solidus: f64::INFINITY,
-        liquidus: f64::INFINITY,
-        phase_mode: PhaseMode::Mushy,
         ..Material::default()
     }
 }

@@ -230,11 +230,6 @@ mod tests {
     use crate::assert_case;
 
     #[test]
-    fn v01() {
-        assert_case("V01");
-    }
-
-    #[test]
     fn v03() {
         assert_case("V03");
     }

@@ -107,7 +107,8 @@ pub fn cases() -> Vec<Case> {
     all
 }
 
-/// Runs one case by id and panics with the failing rows; for tests.
+/// Runs every case of an id and panics with the failing rows; for tests. One test per id is enough, also where cases of
+/// several modules share it.
 pub fn assert_case(id: &str) {
     let mut found = false;
     for case in cases().iter().filter(|c| c.id == id) {

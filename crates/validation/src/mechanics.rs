@@ -479,9 +479,4 @@ mod tests {
     fn v37_friction() {
         crate::assert_case("V37");
     }
-
-    #[test]
-    fn v45_determinism() {
-        crate::assert_case("V45");
-    }
 }

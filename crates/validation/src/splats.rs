@@ -163,9 +163,4 @@ mod tests {
     fn v44() {
         crate::assert_case("V44");
     }
-
-    #[test]
-    fn v46_every_law() {
-        crate::assert_case("V46");
-    }
 }

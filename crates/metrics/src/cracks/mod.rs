@@ -227,27 +227,7 @@ mod tests {
     use megas_model::Splats;
 
     use super::*;
-
-    /// A ball of radius 1 as a mesh.
-    pub(super) fn ball() -> Mesh {
-        let n = 60;
-        let mut m = Mesh::default();
-        for i in 0..=n {
-            for k in 0..2 * n {
-                let (z, r) = (std::f64::consts::PI * (i as f64 / n as f64 - 0.5)).sin_cos();
-                let (s, c) = (std::f64::consts::PI * k as f64 / n as f64).sin_cos();
-                m.positions.push([(r * c) as f32, (r * s) as f32, z as f32]);
-            }
-        }
-        for i in 0..n {
-            for k in 0..2 * n {
-                let at = |i: usize, k: usize| (i * 2 * n + k % (2 * n)) as u32;
-                m.triangles.push([at(i, k), at(i, k + 1), at(i + 1, k + 1)]);
-                m.triangles.push([at(i, k), at(i + 1, k + 1), at(i + 1, k)]);
-            }
-        }
-        m
-    }
+    use crate::test_shapes::ball;
 
     /// Opaque discs on the unit sphere where `keep` holds.
     fn shell(count: usize, keep: impl Fn([f32; 3]) -> bool) -> Gaussians {
@@ -262,7 +242,7 @@ mod tests {
 
     #[test]
     fn a_hole_of_known_area_is_found_though_the_far_wall_hides_it() {
-        let views = CrackViews::with(&ball(), 2.0 * 3f64.sqrt(), 24, 160);
+        let views = CrackViews::with(&ball(60), 2.0 * 3f64.sqrt(), 24, 160);
         let whole = views.measure(&shell(60_000, |_| true));
         assert!(whole.crack_fraction == 0.0 && whole.front_deficit < 0.01 && whole.holes == 0.0, "{whole:?}");
         assert!(whole.spill < 1e-6);
@@ -290,7 +270,7 @@ mod tests {
 
     #[test]
     fn opacity_beside_the_object_is_spill() {
-        let views = CrackViews::with(&ball(), 2.0 * 3f64.sqrt(), 6, 96);
+        let views = CrackViews::with(&ball(60), 2.0 * 3f64.sqrt(), 6, 96);
         let mut g = shell(8_000, |_| true);
         let clean = views.measure(&g);
         g.push([1.2, 0.0, 0.0], [0.01, 0.0, 0.0, 0.01, 0.0, 0.01], [1.0, 0.0, 0.0], 0.9, &[0.0; 3], 293.0);

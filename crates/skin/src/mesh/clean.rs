@@ -89,14 +89,26 @@ fn compact(net: &mut Net) {
     net.triangles.iter_mut().flatten().for_each(|i| *i = map[*i as usize]);
 }
 
-/// Triangles around every vertex: `list[start[i]..start[i + 1]]`.
-pub(crate) struct Fans {
+/// Entries around every vertex, one per triangle that has it, in the order of the triangles: `list[start[i]..start[i + 1]]`.
+pub(crate) struct Around {
     start: Vec<u32>,
     list: Vec<u32>,
 }
 
-impl Fans {
-    pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
+impl Around {
+    /// The triangles around every vertex.
+    pub fn triangles(vertices: usize, triangles: &[[u32; 3]]) -> Self {
+        Self::new(vertices, triangles, |triangle, _| triangle as u32)
+    }
+
+    /// The neighbours of every vertex. On a closed manifold the triangles around a vertex name each neighbour twice, once as
+    /// the vertex that follows it.
+    fn neighbours(vertices: usize, triangles: &[[u32; 3]]) -> Self {
+        Self::new(vertices, triangles, |triangle, corner| triangles[triangle][(corner + 1) % 3])
+    }
+
+    /// `entry` of every triangle and corner, sorted by the vertex at the corner.
+    fn new(vertices: usize, triangles: &[[u32; 3]], entry: impl Fn(usize, usize) -> u32) -> Self {
         let mut start = vec![0u32; vertices + 1];
         triangles.iter().flatten().for_each(|i| start[*i as usize + 1] += 1);
         for i in 0..vertices {
@@ -105,9 +117,10 @@ impl Fans {
         let mut next = start.clone();
         let mut list = vec![0; 3 * triangles.len()];
         for (k, t) in triangles.iter().enumerate() {
-            for i in t {
-                list[next[*i as usize] as usize] = k as u32;
-                next[*i as usize] += 1;
+            for (corner, i) in t.iter().enumerate() {
+                let slot = &mut next[*i as usize];
+                list[*slot as usize] = entry(k, corner);
+                *slot += 1;
             }
         }
         Self { start, list }
@@ -134,7 +147,7 @@ pub(crate) fn collapse_short_edges(net: &mut Net, length: f32) {
     if short.is_empty() {
         return;
     }
-    let fans = Fans::new(net.vertices.len(), &net.triangles);
+    let fans = Around::triangles(net.vertices.len(), &net.triangles);
     let ring = |i: u32| -> Vec<u32> {
         let mut v: Vec<u32> = fans.of(i as usize).iter().flat_map(|t| net.triangles[*t as usize]).filter(|j| *j != i).collect();
         v.sort_unstable();
@@ -182,45 +195,18 @@ pub(crate) fn collapse_short_edges(net: &mut Net, length: f32) {
     compact(net);
 }
 
-/// Neighbours of every vertex: `list[start[i]..start[i + 1]]`, each once.
-struct Rings {
-    start: Vec<u32>,
-    list: Vec<u32>,
-}
-
-impl Rings {
-    /// On a closed manifold the triangles around a vertex name each neighbour twice, once as the vertex that follows it.
-    fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
-        let mut start = vec![0u32; vertices + 1];
-        triangles.iter().flatten().for_each(|i| start[*i as usize + 1] += 1);
-        for i in 0..vertices {
-            start[i + 1] += start[i];
-        }
-        let mut next = start.clone();
-        let mut list = vec![0; 3 * triangles.len()];
-        for t in triangles {
-            for k in 0..3 {
-                let slot = &mut next[t[k] as usize];
-                list[*slot as usize] = t[(k + 1) % 3];
-                *slot += 1;
-            }
-        }
-        Self { start, list }
-    }
-}
-
 /// Smooths with the pair of factors λ = 0.5, μ = −0.53, which keeps long waves and hence the volume (Taubin 1995).
 pub(crate) fn taubin(net: &mut Net, iterations: u32) {
     if iterations == 0 {
         return;
     }
-    let rings = Rings::new(net.vertices.len(), &net.triangles);
+    let rings = Around::neighbours(net.vertices.len(), &net.triangles);
     let mut next = net.vertices.clone();
     for _ in 0..iterations {
         for factor in [0.5f32, -0.53] {
             let from = &net.vertices;
             next.par_iter_mut().with_min_len(2048).enumerate().for_each(|(i, out)| {
-                let ring = &rings.list[rings.start[i] as usize..rings.start[i + 1] as usize];
+                let ring = rings.of(i);
                 let sum = ring.iter().fold([0.0f32; 3], |s, j| vec3::add(s, from[*j as usize]));
                 let mean = vec3::scale(sum, 1.0 / ring.len().max(1) as f32);
                 *out = if ring.is_empty() { from[i] } else { vec3::lerp(from[i], mean, factor) };
