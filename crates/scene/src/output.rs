@@ -74,7 +74,7 @@ pub struct Appearance {
 
 impl Default for Appearance {
     fn default() -> Self {
-        Self { glow: 1.0, white_c: 1227.0, contrast: 0.33, wet: 0.4 }
+        Self { glow: 1.0, white_c: 1427.0, contrast: 0.5, wet: 0.4 }
     }
 }
 
