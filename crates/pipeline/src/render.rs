@@ -110,7 +110,7 @@ pub fn render(
             baked.append(&bodies.background);
             sequence.write(k as u32, &baked).map_err(|e| Failure::Input(e.to_string()))?;
         }
-        let liquid = &points.liquid[..posed.len().min(points.liquid.len())];
+        let liquid = &studio.skin.liquid(&points, posed.len());
         posed.extend_from(&studio.background);
         studio.appearance.apply(&mut posed, liquid);
         let matt = if studio.appearance.wet > 0.0 { posed.sh.clone() } else { Vec::new() };

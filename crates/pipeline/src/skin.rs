@@ -180,6 +180,18 @@ impl Dresser {
         out.extend_from(&own);
     }
 
+    /// Melt fractions of the Gaussians that [`Dresser::frame`] wrote last, in their order.
+    pub fn liquid(&self, points: &PointFrame, gaussians: usize) -> Vec<f32> {
+        match &self.densifier {
+            // Kernels stand in the order in which they are drawn, which is not that of the points.
+            Some(d) => {
+                let kernels = d.drawn().map(|j| points.liquid[self.surface + j as usize]);
+                points.liquid[..self.surface].iter().copied().chain(kernels).collect()
+            }
+            None => points.liquid[..gaussians.min(points.liquid.len())].to_vec(),
+        }
+    }
+
     /// Writes the state after the last frame every eighth frame and forgets older ones.
     pub fn keep(&self, folder: &Path) -> Result<(), Failure> {
         let Some(d) = self.densifier.as_ref().filter(|_| self.next.is_multiple_of(KEEP_EVERY)) else { return Ok(()) };
