@@ -75,6 +75,7 @@ fn densify_settings(scene: &Scene) -> DensifySettings {
     d.snap = s.snap as f32;
     d.extend = s.extend_gaps.unwrap_or(d.extend);
     d.hysteresis = s.fades.unwrap_or(d.hysteresis);
+    d.cover = s.grow.unwrap_or(d.cover);
     d.realign = s.realign.unwrap_or(d.realign);
     d
 }
@@ -160,6 +161,7 @@ impl Dresser {
         self.inside.extend(points.position[n..].iter().map(|x| self.skin.place(*x)));
         self.gone.clear();
         self.gone.extend(points.flags[n..].iter().map(|f| f & FLAG_ESCAPED != 0));
+        densifier.cover(out, &points.phase[..n]);
         let deformed = Deformed {
             surface: out,
             phase: &points.phase[..n],
@@ -211,6 +213,7 @@ impl Dresser {
         t.push("count", &counts);
         t.push("colour", &s.colour);
         t.push("normal", &s.normal);
+        t.push("cover", &s.cover);
         t.push("sigma0", &skin.sigma0);
         t.push("turned", &skin.turned);
         t.write(&state_path(folder, self.next))?;
@@ -247,6 +250,7 @@ impl Dresser {
             fade: fades.iter().zip(&counts).map(fade).collect(),
             colour: t.take("colour").ok()?,
             normal: t.take("normal").ok()?,
+            cover: t.take("cover").ok()?,
         };
         let skin = SkinState { sigma0: t.take("sigma0").ok()?, turned: t.take("turned").ok()? };
         let [most, toggles, worst] = totals[..] else { return None };

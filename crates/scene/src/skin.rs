@@ -75,6 +75,10 @@ pub struct Skin {
     /// Turn molten splats towards the surface that they lie in (default: yes; no with preset "paper").
     #[serde(skip_serializing_if = "Option::is_none")]
     pub realign: Option<bool>,
+    /// Let molten splats grow where the flow draws them apart, so that a thin film stays closed (default: yes; no with preset
+    /// "paper"). Needs `densify`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grow: Option<bool>,
     /// Which points become kernels: "weight" or "argmax" (the paper).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub surface_rule: Option<SurfaceRule>,
@@ -113,6 +117,7 @@ impl Default for Skin {
             needle_clamp: None,
             max_stretch: 4.0,
             realign: None,
+            grow: None,
             surface_rule: None,
             kernel: None,
             kernel_radius: None,

@@ -131,8 +131,10 @@ fn with_inside(model: &Filled, stage: &Stage, d: Deformation, surface: Gaussians
     };
     // What these maps stand for is the flow of a melt.
     let phase = vec![if d == Deformation::Rest { Phase::Solid } else { Phase::Liquid } as u8; surface.len()];
-    let frame = Deformed { surface: &surface, phase: &phase, inside: &inside, temperature: &[], gone: &[] };
     let mut densifier = Densifier::new(anatomy, DensifySettings::default());
+    let mut surface = surface;
+    densifier.cover(&mut surface, &phase);
+    let frame = Deformed { surface: &surface, phase: &phase, inside: &inside, temperature: &[], gone: &[] };
     // A single frame shows at once what it selects.
     densifier.advance(&frame, &[], 0.0);
     let mut out = surface.clone();

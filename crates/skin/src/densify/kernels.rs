@@ -8,7 +8,9 @@ use crate::imls::Imls;
 use crate::rows::Rows;
 
 /// Surface neighbours that give the colour.
-const COLOURS: usize = 8;
+const COLOURS: usize = 12;
+/// Share of them, by weight, that is left out at the bright and at the dark end: a highlight is no colour of the thing.
+const OUTLIERS: f32 = 0.25;
 /// Distances from the surface, in sample spacings, between which colour passes over to that of the inside.
 const OWN_COLOUR: [f32; 2] = [6.0, 10.0];
 /// Thickness of a disc in radii: most, and least.
@@ -46,18 +48,19 @@ pub(crate) fn fresh(object: Option<&Object>, x: Vec3<f32>, inside: [f32; 3], del
     let projected = o.field.project(x, 2.0 * delta.max(o.spacing));
     let far = OWN_COLOUR[1] * o.spacing;
     o.rows.nearest(x, COLOURS, 2.0 * delta, far, found);
-    let (mut rgb, mut total) = ([0.0f32; 3], 0.0f32);
-    for &(d2, s) in found.iter() {
+    let around = |d2: f32, s: u32| {
         // The design weighs by distance alone; but a sprinkle of fifty small Gaussians must not outvote the icing around it.
-        let w = o.cover[s as usize] / (d2 + 0.01 * delta * delta);
-        rgb = vec3::add_scaled(rgb, o.rgb[s as usize], w);
-        total += w;
-    }
+        (o.rgb[s as usize], o.cover[s as usize] / (d2 + 0.01 * delta * delta))
+    };
+    let mut colours = [([0.0f32; 3], 0.0f32); COLOURS];
+    let used = found.len().min(COLOURS);
+    colours.iter_mut().zip(found.iter()).for_each(|(c, &(d2, s))| *c = around(d2, s));
+    let outside = middle(&mut colours[..used]);
     let rgb = match found.first() {
         Some(nearest) => {
             let d = nearest.0.sqrt() / o.spacing;
             let own = ((d - OWN_COLOUR[0]) / (OWN_COLOUR[1] - OWN_COLOUR[0])).clamp(0.0, 1.0);
-            vec3::lerp(vec3::scale(rgb, 1.0 / total.max(1e-30)), inside, own)
+            vec3::lerp(outside, inside, own)
         }
         None => inside,
     };
@@ -65,6 +68,23 @@ pub(crate) fn fresh(object: Option<&Object>, x: Vec3<f32>, inside: [f32; 3], del
         Some(p) => Fresh { normal: p.normal, up: vec3::sub(p.position, x), rgb },
         None => Fresh { normal: [0.0; 3], up: [0.0; 3], rgb },
     }
+}
+
+/// Weighted mean of the colours without the brightest and the darkest: the photographed colours of a glossy thing contain what it
+/// mirrored.
+fn middle(colours: &mut [([f32; 3], f32)]) -> [f32; 3] {
+    let light = |c: [f32; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
+    colours.sort_by(|a, b| light(a.0).total_cmp(&light(b.0)));
+    let total: f32 = colours.iter().map(|c| c.1).sum();
+    let (from, to) = (OUTLIERS * total, (1.0 - OUTLIERS) * total);
+    let (mut rgb, mut sum, mut at) = ([0.0f32; 3], 0.0f32, 0.0f32);
+    for &(c, w) in colours.iter() {
+        let share = ((at + w).min(to) - at.max(from)).max(0.0);
+        rgb = vec3::add_scaled(rgb, c, share);
+        sum += share;
+        at += w;
+    }
+    vec3::scale(rgb, 1.0 / sum.max(1e-30))
 }
 
 /// Covariance of a kernel of radius `r` and normal `n` that lies `depth` below the surface.

@@ -5,6 +5,7 @@
 //! frame or once. All that one frame leaves to the next is in [`DensifyState`], so a film can be continued from any frame whose
 //! state was kept, with the same bits.
 
+mod cover;
 mod detect;
 mod fade;
 mod kernels;
@@ -87,6 +88,8 @@ pub struct DensifyState {
     pub colour: Vec<[f32; 3]>,
     /// Smoothed normals of the particles, zero before the first.
     pub normal: Vec<Vec3<f32>>,
+    /// What the Gaussians of the surface grow to (see [`Densifier::cover`]); empty before the first that melts.
+    pub cover: Vec<[f32; 6]>,
 }
 
 /// Figures of one frame.
@@ -115,8 +118,9 @@ pub struct Densifier {
     rest: Vec<f32>,
     detector: Detector,
     seen: Seen,
-    /// Surface normals of this frame.
+    /// Surface normals of this frame, and whether they were found before [`Densifier::advance`].
     normals: Vec<Vec3<f32>>,
+    has_normals: bool,
     /// Kernels of this frame: particle, place, covariance.
     drawn: Vec<(u32, Vec3<f32>, [f32; 6])>,
     /// Fields of this frame, in the order of the objects.
@@ -140,6 +144,7 @@ impl Densifier {
             detector: Detector::default(),
             seen: Seen::default(),
             normals: Vec::new(),
+            has_normals: false,
             drawn: Vec::new(),
             fields: Vec::new(),
         }
@@ -172,6 +177,7 @@ impl Densifier {
             && state.fade.len() == n
             && state.colour.len() == n
             && state.normal.len() == n
+            && (state.cover.is_empty() || state.cover.len() == self.anatomy.surface_object.len())
             && state.scores.len() == self.settings.turns.max(1)
             && state.scores.iter().all(|s| s.len() == all)
             && state.sample_spacing.len() == self.objects.len();
@@ -179,6 +185,29 @@ impl Densifier {
             self.state = state;
         }
         fits
+    }
+
+    /// Lets molten Gaussians of the surface grow where the flow has drawn them apart. Call it before [`Densifier::advance`] of the same
+    /// frame. Returns how many have grown.
+    pub fn cover(&mut self, surface: &mut Gaussians, phase: &[u8]) -> usize {
+        if !self.settings.cover {
+            return 0;
+        }
+        self.find_normals(surface, phase);
+        self.has_normals = true;
+        let state = &mut self.state.cover;
+        let kept = state.clone();
+        // What has grown once goes on after it has frozen.
+        let wanted = |i: usize| phase.get(i).is_some_and(|p| *p != 0) || kept.get(i).is_some_and(|c| c[0] + c[3] + c[5] > 0.0);
+        let (object, delta) = (&self.anatomy.surface_object, self.anatomy.spacing);
+        cover::measure(surface, &self.normals, object, wanted, delta, state, self.settings.hysteresis);
+        cover::grow(surface, &self.normals, state)
+    }
+
+    fn find_normals(&mut self, surface: &Gaussians, phase: &[u8]) {
+        let typical = self.state.sample_spacing.iter().copied().filter(|s| *s > 0.0).fold(f32::INFINITY, f32::min);
+        let spacing = if typical.is_finite() { typical } else { Rows::spacing(&surface.mean, 2048) };
+        self.normals = normals::normals(surface, phase, spacing, self.settings.normals);
     }
 
     /// Takes in one frame, `dt` seconds of film after the last. `viewers` are the cameras that will look at it, if known. The first
@@ -318,9 +347,9 @@ impl Densifier {
     /// One implicit surface per object from the Gaussians that can be seen (§7.4).
     fn fields(&mut self, frame: &Deformed<'_>, report: &mut DensifyReport) {
         let surfaces = self.anatomy.surface_object.len();
-        let typical = self.state.sample_spacing.iter().copied().filter(|s| *s > 0.0).fold(f32::INFINITY, f32::min);
-        let spacing = if typical.is_finite() { typical } else { Rows::spacing(&frame.surface.mean, 2048) };
-        self.normals = normals::normals(frame.surface, frame.phase, spacing, self.settings.normals);
+        if !std::mem::take(&mut self.has_normals) {
+            self.find_normals(frame.surface, frame.phase);
+        }
         let drawn: Vec<u32> = (0..self.state.fade.len() as u32).filter(|&j| self.state.fade[j as usize].is_drawn()).collect();
         let mut fields = Vec::new();
         let (mut opposing, mut samples) = (0.0, 0);

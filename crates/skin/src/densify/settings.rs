@@ -69,6 +69,8 @@ pub struct DensifySettings {
     pub normals: Normals,
     /// Fades, delays and smoothing in time (§7.6); off shows and hides at once.
     pub hysteresis: bool,
+    /// Molten surface Gaussians grow where the flow draws them apart.
+    pub cover: bool,
     /// Molten surface Gaussians turn towards the surface (§7.5).
     pub realign: bool,
 }
@@ -88,6 +90,7 @@ impl Default for DensifySettings {
             robust: None,
             normals: Normals::TransportPca,
             hysteresis: true,
+            cover: true,
             realign: true,
         }
     }
@@ -107,6 +110,7 @@ impl DensifySettings {
             robust: None,
             normals: Normals::Axis,
             hysteresis: false,
+            cover: false,
             realign: false,
             ..Self::default()
         }
