@@ -5,6 +5,8 @@ use megas_math::{Mat3, Vec3, mat3, quat, svd, vec3};
 /// Angle between disc and surface that is left alone, and how fast the rest goes (10° a frame at 24 frames a second).
 const DEAD_ZONE: f64 = 20.0 / 180.0 * std::f64::consts::PI;
 const SPEED_RAD_S: f64 = 240.0 / 180.0 * std::f64::consts::PI;
+/// sin² of the dead zone.
+const SIN2_DEAD_ZONE: f64 = 0.116;
 /// Discs thicker than this share of their middle axis have no plane to turn.
 const FLAT: f64 = 0.6;
 /// Gaussians longer than this in middle axes are needles: turned about, they stick out of curved surfaces.
@@ -12,6 +14,9 @@ const LONG: f64 = 2.5;
 
 /// Rotation that turns the disc `covariance` towards the surface `normal` within `dt` seconds; `None` where it lies well enough.
 pub(crate) fn turn(covariance: Mat3<f64>, normal: Vec3<f64>, dt: f64) -> Option<Mat3<f64>> {
+    if crate::densify::is_axis_within(covariance, vec3::cast(normal), SIN2_DEAD_ZONE) {
+        return None;
+    }
     let (w, r) = svd::eigen_symmetric(covariance);
     if w[2] > FLAT * FLAT * w[1] || w[0] > LONG * LONG * w[1] {
         return None;

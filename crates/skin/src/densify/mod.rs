@@ -22,6 +22,7 @@ use crate::rows::Rows;
 use detect::{Detector, Rig, Seen, near_outside};
 pub use fade::Fade;
 use kernels::{Object, fresh};
+pub(crate) use normals::is_axis_within;
 pub use settings::{DensifySettings, Kernel, Normals, Radius, Rule};
 
 /// Opacity of a kernel that is fully there.
