@@ -29,8 +29,8 @@ const LEAST_SECTORS: usize = 3;
 const WIDEST: f32 = 4.0;
 /// Rise of a neighbour over the plane, per distance in it, up to which it is of the same sheet.
 const SLOPE: f32 = 0.7;
-/// Share of the new value in the running mean.
-const NEW: f32 = 0.25;
+/// Share of the new value in the running mean, which gets one every second frame.
+const NEW: f32 = 0.4;
 
 const SECTORS: usize = 6;
 

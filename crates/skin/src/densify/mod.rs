@@ -199,7 +199,10 @@ impl Densifier {
         let state = &mut self.state.cover;
         let kept = state.clone();
         // What has grown once goes on after it has frozen.
-        let wanted = |i: usize| phase.get(i).is_some_and(|p| *p != 0) || kept.get(i).is_some_and(|c| c[0] + c[3] + c[5] > 0.0);
+        let grown = |i: usize| kept.get(i).is_some_and(|c| c[0] + c[3] + c[5] > 0.0);
+        // Neighbours take turns, except where nothing is known yet.
+        let turn = self.state.frames as usize;
+        let wanted = |i: usize| if grown(i) { (i + turn).is_multiple_of(2) } else { phase.get(i).is_some_and(|p| *p != 0) };
         let (object, delta) = (&self.anatomy.surface_object, self.anatomy.spacing);
         cover::measure(surface, &self.normals, object, wanted, delta, state, self.settings.hysteresis);
         cover::grow(surface, &self.normals, state)
@@ -208,7 +211,9 @@ impl Densifier {
     fn find_normals(&mut self, surface: &Gaussians, phase: &[u8]) {
         let typical = self.state.sample_spacing.iter().copied().filter(|s| *s > 0.0).fold(f32::INFINITY, f32::min);
         let spacing = if typical.is_finite() { typical } else { Rows::spacing(&surface.mean, 2048) };
-        self.normals = normals::normals(surface, phase, spacing, self.settings.normals);
+        // What nobody saw in the last frames is no sample of the surface; its transported normal will do.
+        let asked = |i: usize| self.state.frames == 0 || self.is_visible(i);
+        self.normals = normals::normals(surface, phase, asked, spacing, self.settings.normals);
     }
 
     /// Takes in one frame, `dt` seconds of film after the last. `viewers` are the cameras that will look at it, if known. The first

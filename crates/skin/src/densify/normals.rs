@@ -16,11 +16,18 @@ const SIN2_LARGEST: f64 = 0.178;
 /// Gaussians and neighbours of the consistency check.
 const CHECKED: usize = 4096;
 
-/// Oriented normals of the surface. Only Gaussians that have melted need the correction: solids turn with their material.
+/// Oriented normals of the surface. Only Gaussians that have melted need the correction, solids turn with their
+/// material; and of these only those that are asked for get it.
 ///
 /// The design blends a fifth of the plane's normal in whenever the two differ by more than 25°, frame after frame, which jumps at
 /// that angle; here the normal is turned until it is within 25°, which is where those frames would end.
-pub(crate) fn normals(surface: &Gaussians, phase: &[u8], spacing: f32, mode: Normals) -> Vec<Vec3<f32>> {
+pub(crate) fn normals(
+    surface: &Gaussians,
+    phase: &[u8],
+    asked: impl Fn(usize) -> bool + Sync,
+    spacing: f32,
+    mode: Normals,
+) -> Vec<Vec3<f32>> {
     let n = surface.len();
     if mode == Normals::Axis {
         let axis = |i: usize| {
@@ -41,7 +48,7 @@ pub(crate) fn normals(surface: &Gaussians, phase: &[u8], spacing: f32, mode: Nor
         .with_min_len(64)
         .map_init(Vec::new, |found, i| {
             let normal = surface.normal[i];
-            if !melted(i) || normal == [0.0; 3] {
+            if !melted(i) || !asked(i) || normal == [0.0; 3] {
                 return normal;
             }
             rows.nearest(surface.mean[i], NEIGHBOURS + 1, 2.2 * spacing, 8.0 * spacing, found);
@@ -158,7 +165,7 @@ mod tests {
             g.push(x, [1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-5], n, 0.9, &[0.0; 3], 300.0);
             phase.push(u8::from(i % 2 == 0));
         }
-        let n = normals(&g, &phase, 0.1, Normals::TransportPca);
+        let n = normals(&g, &phase, |_| true, 0.1, Normals::TransportPca);
         for i in 0..900 {
             let angle = n[i][2].acos();
             if i % 2 == 0 {
@@ -167,7 +174,7 @@ mod tests {
                 assert_eq!(n[i], g.normal[i]);
             }
         }
-        let axis = normals(&g, &phase, 0.1, Normals::Axis);
+        let axis = normals(&g, &phase, |_| true, 0.1, Normals::Axis);
         assert!(axis.iter().all(|n| n[2] > 0.9999));
         assert_eq!(opposing(&g.mean, &axis, 0.1), 0.0);
         let mixed: Vec<Vec3<f32>> = (0..900).map(|i| [0.0, 0.0, if i / 30 == 15 { -1.0 } else { 1.0 }]).collect();
