@@ -255,7 +255,6 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "first order in the cell: 3 % at 0.25 mm, the tolerance is 1.5 %"]
     fn v13() {
         assert_case("V13");
     }

@@ -28,6 +28,12 @@ fn section(phi: f64) -> f64 {
     (phi * (1.0 / FULL)).min(1.0)
 }
 
+/// Conductivity of two halves in series.
+#[inline(always)]
+fn harmonic(a: f64, b: f64) -> f64 {
+    2.0 * a * b / (a + b)
+}
+
 /// What the network needs to know of one material.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Medium {
@@ -135,15 +141,15 @@ impl Composition {
         }
     }
 
-    /// Temperature, heat capacity \[J/K\] and conductivity \[W/(m·K)\] of a node.
-    fn state(&self, media: &[Medium], kind: Kind, mass: f64, energy: f64) -> (f64, f64, f64) {
+    /// Temperature, heat capacity \[J/K\] and conductivity \[W/(m·K)\] of a node, and whether it is changing phase.
+    fn state(&self, media: &[Medium], kind: Kind, mass: f64, energy: f64) -> (f64, f64, f64, bool) {
         match kind {
             Kind::One(m) => {
                 let medium = &media[m as usize];
                 let h = energy / mass;
                 let f = medium.curve.liquid_fraction(h);
                 let t = medium.curve.temperature(h);
-                (t, mass * medium.curve.heat_capacity(h), medium.conductivity(f, t))
+                (t, mass * medium.curve.heat_capacity(h), medium.conductivity(f, t), f > 0.0 && f < 1.0)
             }
             Kind::Mixed(i) => {
                 let (t, plateau) = self.mixture.temperature(&self.curves, self.masses(i), energy);
@@ -155,7 +161,7 @@ impl Composition {
                     k += v * medium.conductivity(f, t);
                     volume += v;
                 }
-                (t, capacity, k / volume)
+                (t, capacity, k / volume, false)
             }
         }
     }
@@ -212,6 +218,8 @@ pub(crate) struct Network {
     pub(crate) t: Vec<f64>,
     pub(crate) capacity: Vec<f64>,
     pub(crate) k: Vec<f64>,
+    /// The node is changing phase.
+    front: Vec<bool>,
     neighbours: Vec<[u32; 6]>,
     /// Conductance of each link \[W/K\].
     links: Vec<[f64; 6]>,
@@ -356,13 +364,22 @@ impl Network {
         for v in [&mut self.t, &mut self.capacity, &mut self.k] {
             v.resize(n, 0.0);
         }
+        self.front.resize(n, false);
         self.neighbours.resize(n, [0; 6]);
         self.links.resize(n, [0.0; 6]);
-        let Self { t, capacity, k, kind, mass, e0, .. } = self;
-        (t.par_iter_mut(), capacity.par_iter_mut(), k.par_iter_mut(), kind.par_iter(), mass.par_iter(), e0.par_iter())
+        let Self { t, capacity, k, front, kind, mass, e0, .. } = self;
+        (
+            t.par_iter_mut(),
+            capacity.par_iter_mut(),
+            k.par_iter_mut(),
+            front.par_iter_mut(),
+            kind.par_iter(),
+            mass.par_iter(),
+            e0.par_iter(),
+        )
             .into_par_iter()
             .with_min_len(CHUNK)
-            .for_each(|(t, c, k, kind, m, e)| (*t, *c, *k) = mix.state(media, *kind, *m, *e));
+            .for_each(|(t, c, k, front, kind, m, e)| (*t, *c, *k, *front) = mix.state(media, *kind, *m, *e));
         self.mix_in_air(media, mix, spacing);
         let mut links = std::mem::take(&mut self.links);
         let mut neighbours = std::mem::take(&mut self.neighbours);
@@ -386,14 +403,26 @@ impl Network {
         for s in 0..self.len() {
             let (kind, mass, air) = (self.kind[s], self.mass[s], self.air[s]);
             let t = mix.temperature_with(media, kind, mass, air, around.t_ref, self.e[s]);
-            let (_, capacity, k) = mix.state(media, kind, mass, self.e[s] - air * (t - around.t_ref));
+            let (_, capacity, k, front) = mix.state(media, kind, mass, self.e[s] - air * (t - around.t_ref));
             let filled = self.phi[s].min(1.0);
-            self.t[s] = t;
+            (self.t[s], self.front[s]) = (t, front);
             self.capacity[s] = capacity + air;
             self.k_material.push(k);
             self.k[s] = 1.0 / (filled / k + (1.0 - filled) / around.k);
-            let harmonic = 2.0 * self.k[s] * around.k / (self.k[s] + around.k);
-            self.to_air.push((spacing * harmonic).max(around.film * spacing * spacing));
+            self.to_air.push((spacing * harmonic(self.k[s], around.k)).max(around.film * spacing * spacing));
+        }
+    }
+
+    /// Conductivities of both halves of the way between two nodes. Between a node that changes phase and a neighbour of the same
+    /// material that does not, all of the way lies in the neighbour's phase: while the front crosses the node, its distance from
+    /// the neighbour grows from half a cell to one and a half. The node's own mixture would make water behind melting ice conduct
+    /// like ice over a quarter of a cell.
+    #[inline(always)]
+    fn conductivities(&self, k: &[f64], s: usize, o: usize) -> (f64, f64) {
+        match (self.front[s], self.front[o]) {
+            (true, false) if self.kind[s] == self.kind[o] => (k[o], k[o]),
+            (false, true) if self.kind[s] == self.kind[o] => (k[s], k[s]),
+            _ => (k[s], k[o]),
         }
     }
 
@@ -413,14 +442,14 @@ impl Network {
             }
             // One temperature per node, material and air in series; but the rim of a body touches it, so it conducts at least
             // what the filled cross-section does.
-            let harmonic = |a: f64, b: f64| 2.0 * a * b / (a + b);
-            let touching = section(self.phi[s].min(self.phi[o])) * harmonic(self.k_material[s], self.k_material[o]);
+            let (a, b) = self.conductivities(&self.k_material, s, o);
+            let touching = section(self.phi[s].min(self.phi[o])) * harmonic(a, b);
             return Some((o as u32, spacing * harmonic(self.k[s], self.k[o]).max(touching)));
         }
         // Harmonic mean over the filled cross-section: nodes at the rim neither insulate nor become stiff.
-        let (a, b) = (self.k[s], self.k[o]);
+        let (a, b) = self.conductivities(&self.k, s, o);
         let filled = section(self.phi[s].min(self.phi[o]));
-        Some((o as u32, spacing * filled * (2.0 * a * b) / (a + b)))
+        Some((o as u32, spacing * filled * harmonic(a, b)))
     }
 
     /// Collects the nodes inside walls that give and take heat, and the links to such walls, half a cell away.
