@@ -17,5 +17,5 @@ mod velocity_sets;
 
 pub use lattice::{ExchangeLink, HeatNode, Lattice, NodeState, StepReport};
 pub use room::{AirStep, SimulatedAir};
-pub use settings::{Face, FlowFace, HeatFace, LAMBDA_AIR, LAMBDA_FLOW, LAMBDA_MATERIAL, LatticeSettings, SPEED_CAP};
+pub use settings::{Face, FlowFace, HeatFace, LAMBDA_AIR, LAMBDA_FLOW, LAMBDA_MATERIAL, LAMBDA_STILL, LatticeSettings, SPEED_CAP};
 pub use sweep::Seen;

@@ -87,14 +87,16 @@ impl Reference {
             } else if let HeatNode::Fixed(t) = self.states[i].heat {
                 self.t[i] = f64::from(t);
             }
-            let mut eddy = 0.0;
+            let (mut eddy, mut rho) = (0.0, 1.0);
             if s.flow {
+                rho = f[i].iter().sum();
                 let warm = if s.heat { self.t[i].clamp(-s.buoyancy_limit, s.buoyancy_limit) } else { 0.0 };
                 let force = std::array::from_fn(|a| s.force[a] + s.buoyancy[a] * warm);
                 eddy = self.collide_flow(i, &mut f[i], force, sponge);
             }
             if has_heat {
-                let u = if s.flow { self.u[i] } else { s.wind };
+                // The flow of mass: u itself has sources, as air is compressed a little.
+                let u = if s.flow { self.u[i].map(|v| v * rho) } else { s.wind };
                 let t = self.t[i];
                 let h = g[i].iter().sum::<f64>() + 0.5 * s.source;
                 let (plus, minus) = s.heat_rates(if self.media.is_empty() { k + eddy / TURBULENT_PRANDTL } else { k });

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::air::lattice::{HeatNode, Lattice, NodeState};
-use crate::air::settings::{Face, LatticeSettings};
+use crate::air::settings::{Face, LAMBDA_STILL, LatticeSettings};
 use crate::grid::Grid;
 use crate::thermal::Wall;
 use crate::thermal::network::Network;
@@ -90,6 +90,9 @@ impl SimulatedAir {
         let viscosity = VISCOSITY * unit * thickened;
         let mut s = LatticeSettings::new(grid.nodes, viscosity, (alpha * unit * thickened).max(LEAST_CONDUCTIVITY));
         s.flow = self.convection;
+        if !s.flow {
+            s.lambda_heat = Some(LAMBDA_STILL);
+        }
         s.smagorinsky = if 3.0 * viscosity + 0.5 < THIN { SMAGORINSKY } else { 0.0 };
         let beta = 1.0 / ambient;
         s.buoyancy = [0.0, 0.0, self.gravity * beta * step * step / dx];

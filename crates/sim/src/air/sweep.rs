@@ -216,7 +216,7 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
     }
 
     let mut u = each3(|a| c(cx.wind[a]));
-    let mut eddy = zero;
+    let (mut eddy, mut mass) = (zero, one);
     if FLOW {
         let mut f = Pairs { rest: load(s, p.f[0], n), sum: [zero; 9], difference: [zero; 9] };
         for q in 0..9 {
@@ -237,7 +237,7 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
         }
         let m = each3(|a| force[a].mul_add(c(0.5), m[a]));
         let (velocity, density, speed2) = d3q19::velocity(s, rho, m);
-        u = velocity;
+        (u, mass) = (velocity, density);
         if GENERAL && class & SPONGE != 0 {
             let change = each3(|a| sponge * u[a] * -1.0);
             let step = d3q19::along::<S>(each3(|a| change[a] * density));
@@ -276,7 +276,9 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
     }
 
     if HEAT {
-        let carried = each3(|a| u[a] * capacity * memory);
+        // The flow of mass: u itself has sources, air is compressed by 3U², and would heat up where it is pressed together.
+        let mass = mass * capacity * memory;
+        let carried = each3(|a| u[a] * mass);
         let rates = if GENERAL && !p.conductivity.is_empty() {
             cx.heat.of(s, load(s, p.conductivity, n))
         } else if cx.flow.has_eddies() {

@@ -1,7 +1,7 @@
 //! Conduction and transport of temperature on the lattice.
 
 use megas_sim::air::reference::Reference;
-use megas_sim::air::{Face, LAMBDA_MATERIAL, Lattice, LatticeSettings};
+use megas_sim::air::{Face, LAMBDA_MATERIAL, LAMBDA_STILL, Lattice, LatticeSettings};
 use megas_sim::grid::Grid;
 use megas_sim::thermal::{NodeFields, ThermalOptions, ThermalSolver};
 
@@ -9,7 +9,7 @@ use super::{alone, erfc};
 use crate::{Outcome, Plot, Row};
 
 fn heat_only(nodes: [usize; 3], k: f64) -> LatticeSettings {
-    LatticeSettings { flow: false, ..LatticeSettings::new(nodes, 0.1, k) }
+    LatticeSettings { flow: false, lambda_heat: Some(LAMBDA_STILL), ..LatticeSettings::new(nodes, 0.1, k) }
 }
 
 fn walls(low: f64, high: f64) -> [[Face; 2]; 3] {
