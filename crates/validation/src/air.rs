@@ -152,6 +152,13 @@ mod tests {
     }
 
     #[test]
+    fn v22_small() {
+        for row in super::cavity::square_small().rows {
+            assert!(row.passed(), "{} is {:e}, expected {:e} ± {:e}", row.quantity, row.ours, row.reference, row.tolerance);
+        }
+    }
+
+    #[test]
     fn v24_saturated() {
         assert_case("V24");
     }

@@ -7,12 +7,13 @@ use megas_math::{Vec3, vec3};
 use crate::schedule::Pose;
 use crate::source::Light;
 
-/// Height above a surface node from which the light must be seen \[node spacings\]: the node lies up to one and a half of them
-/// inside, and a surface does not shade itself.
-pub(crate) const CLEARANCE: f64 = 2.0;
+/// Height above a surface from which the light must be seen \[node spacings\], so that a surface does not shade itself by its own
+/// roughness. It shrinks to nothing along the first [`CLEAR`] spacings of the ray: what is further away throws its true shadow.
+pub(crate) const CLEARANCE: f64 = 1.0;
+pub(crate) const CLEAR: f64 = 8.0;
 /// Steps of the march towards the light \[node spacings\].
 pub(crate) const STRIDE: f64 = 0.5;
-/// Half width of the soft edge of a cone \[rad\].
+/// Least half width of the soft edge of a cone \[rad\].
 const EDGE: f64 = 0.02;
 
 /// A light where it is now.
@@ -57,8 +58,8 @@ impl Light {
 }
 
 impl Placed {
-    /// The light at `x`; `None` outside the cone.
-    pub(crate) fn at(&self, x: Vec3<f64>) -> Option<Arriving> {
+    /// The light at `x` \[m\]; `None` outside the cone. Its edge is as wide as `spacing` \[m\], so that the nodes add up to its power.
+    pub(crate) fn at(&self, x: Vec3<f64>, spacing: f64) -> Option<Arriving> {
         match self.light {
             Light::Sun { direction } => {
                 Some(Arriving { toward: vec3::scale(direction, -1.0), irradiance: self.strength, distance: f64::INFINITY })
@@ -72,8 +73,11 @@ impl Placed {
                 let toward = vec3::scale(way, 1.0 / distance);
                 let angle = (-vec3::dot(toward, direction)).clamp(-1.0, 1.0).acos();
                 let whole = half_angle >= std::f64::consts::PI - EDGE;
-                let t = if whole { 1.0 } else { ((half_angle + EDGE - angle) / (2.0 * EDGE)).clamp(0.0, 1.0) };
-                let solid_angle = TAU * (1.0 - half_angle.cos());
+                let edge = EDGE.max(spacing / distance).min(half_angle);
+                let t = if whole { 1.0 } else { ((half_angle + edge - angle) / (2.0 * edge)).clamp(0.0, 1.0) };
+                // The soft edge lets more through outside than it takes away inside, by its variance.
+                let wider = if whole { 1.0 } else { 1.0 + 0.2 * (edge / half_angle).powi(2) };
+                let solid_angle = TAU * (1.0 - half_angle.cos()) * wider;
                 let irradiance = t * t * (3.0 - 2.0 * t) * self.strength / (solid_angle * distance * distance);
                 (irradiance != 0.0).then_some(Arriving { toward, irradiance, distance })
             }
@@ -94,14 +98,14 @@ mod tests {
         let mut power = 0.0;
         for i in 0..rings {
             let r = 2.0 * (f64::from(i) + 0.5) / f64::from(rings);
-            if let Some(a) = placed.at([r, 0.0, 0.0]) {
+            if let Some(a) = placed.at([r, 0.0, 0.0], 0.05) {
                 power += a.irradiance * a.toward[2] * TAU * r * 2.0 / f64::from(rings);
             }
         }
         assert!((power - 100.0).abs() < 0.5, "{power}");
-        assert!(placed.at([5.0, 0.0, 0.0]).is_none() && placed.at([0.0, 0.0, 3.0]).is_none());
+        assert!(placed.at([5.0, 0.0, 0.0], 0.05).is_none() && placed.at([0.0, 0.0, 3.0], 0.05).is_none());
         let everywhere = Light::Torch { position: [0.0; 3], direction: [0.0, 0.0, 1.0], half_angle: std::f64::consts::PI };
-        let a = everywhere.placed(&Pose::REST, 100.0).at([0.0, 0.0, -0.5]).unwrap();
+        let a = everywhere.placed(&Pose::REST, 100.0).at([0.0, 0.0, -0.5], 0.05).unwrap();
         assert!((a.irradiance - 100.0 / (TAU * 2.0 * 0.25)).abs() < 1e-9 && a.toward == [0.0, 0.0, 1.0]);
     }
 }

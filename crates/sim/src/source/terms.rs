@@ -5,7 +5,6 @@ use rayon::prelude::*;
 
 use crate::grid::Grid;
 use crate::schedule::Pose;
-use crate::source::radiant::CLEARANCE;
 use crate::source::surface::SurfaceMeasure;
 use crate::source::{Film, HeatSource, Radiant, Region, SourceKind, SourceReport};
 use crate::thermal::Wall;
@@ -133,7 +132,7 @@ impl Terms {
                 None => region.weight(cx.grid.position(cx.network.node(slot)), cx.grid.spacing, &pose),
             };
             if layer {
-                // The measure spreads over two to three nodes across the surface, half of the area at most in one.
+                // Nodes of the rim with a whole open face count fully, those with an edge of one in part.
                 *w *= (2.0 * cx.surface.area[slot]).min(1.0);
             }
         });
@@ -180,15 +179,18 @@ impl Terms {
         let light = radiant.light.placed(pose, strength);
         let (dx, dx2) = (cx.grid.spacing, cx.grid.spacing.powi(2));
         let lit = |slot: usize| {
-            let node = cx.network.node(slot);
-            let arriving = light.at(cx.grid.position(node))?;
-            let across = vec3::dot(cx.surface.facing[slot], arriving.toward);
-            if weight[slot] <= 0.0 || across <= 0.0 {
+            let facing = cx.surface.facing[slot];
+            if weight[slot] <= 0.0 || facing == [0.0; 3] {
                 return None;
             }
-            let out = vec3::normalize_or(cx.surface.facing[slot], [0.0; 3]);
-            let above = vec3::add_scaled(node.map(|c| c as f64), out, CLEARANCE);
-            let seen = cx.surface.sees(cx.lattice, cx.walls, above, arriving.toward, arriving.distance / dx);
+            let out = vec3::normalize_or(facing, [0.0; 3]);
+            let x = cx.surface.place[slot];
+            let arriving = light.at(std::array::from_fn(|a| cx.grid.origin[a] + dx * x[a]), dx)?;
+            let across = vec3::dot(facing, arriving.toward);
+            if across <= 0.0 {
+                return None;
+            }
+            let seen = cx.surface.sees(cx.lattice, cx.walls, x, out, arriving.toward, arriving.distance / dx);
             let a = radiant.absorptivity * arriving.irradiance * across * dx2 * weight[slot];
             seen.then_some(Term { slot: slot as u32, a, b: 0.0 })
         };
@@ -201,7 +203,7 @@ impl Terms {
         for (slot, (w, a)) in self.weight.iter().zip(&cx.surface.area).enumerate() {
             let h = film.total_coefficient(cx.network.t[slot]);
             if *w > 0.0 && *a > 0.0 && h > 0.0 {
-                let depth = 2.0 * dx * (cx.network.phi[slot] - 0.5).max(0.0);
+                let depth = dx * cx.surface.depth[slot];
                 let conductance = gain * w * a * dx * dx / (1.0 / h + depth / cx.network.k[slot]);
                 self.terms.push(Term { slot: slot as u32, a: conductance, b: film.ambient });
             }

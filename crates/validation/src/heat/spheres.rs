@@ -156,6 +156,39 @@ pub fn filmed_ball() -> Outcome {
     plots.into_iter().fold(Outcome::from(rows), Outcome::plot)
 }
 
+/// A ball of `radius` that melts inside its melt, which is held at 1 on a sphere of radius `outer`, solved along the radius in shells
+/// of half a cell: when it has melted, and along the way time and radius. Heat capacity 1, latent heat 1/`stefan`, conductivity `k`;
+/// the melt starts with the steady profile.
+fn radial_melting(radius: f64, outer: f64, stefan: f64, k: f64) -> (f64, Vec<[f64; 2]>) {
+    let dr = 0.5;
+    let n = (outer / dr).round() as usize;
+    let dt = 0.2 * dr * dr / k;
+    let volume = |i: usize| (((i + 1) as f64 * dr).powi(3) - (i as f64 * dr).powi(3)) / 3.0;
+    let latent = 1.0 / stefan;
+    let mut h: Vec<f64> = (0..n)
+        .map(|i| (i as f64 + 0.5) * dr)
+        .map(|r| if r > radius { latent + (1.0 / radius - 1.0 / r) / (1.0 / radius - 1.0 / outer) } else { 0.0 })
+        .collect();
+    let (mut time, mut seen) = (0.0, Vec::new());
+    loop {
+        let t: Vec<f64> = h.iter().map(|h| (h - latent).max(0.0)).collect();
+        let (mut solid, mut inner) = (0.0, 0.0);
+        for i in 0..n {
+            let flux = if i + 1 < n { k * (t[i + 1] - t[i]) / dr } else { 2.0 * k * (1.0 - t[i]) / dr };
+            let through = flux * ((i + 1) as f64 * dr).powi(2);
+            h[i] += dt * (through - inner) / volume(i);
+            inner = through;
+            solid += (1.0 - h[i] * stefan).clamp(0.0, 1.0) * volume(i);
+        }
+        time += dt;
+        let r = (3.0 * solid).cbrt();
+        seen.push([time, r]);
+        if r < 0.02 * radius {
+            return (time, seen);
+        }
+    }
+}
+
 /// V14: a solid ball at its melting point inside its own melt, which is held 1 K warmer on a sphere of four radii.
 pub fn melting_ball() -> Outcome {
     let (radius, stefan, k) = (12.0f64, 0.02f64, 0.15f64);
@@ -184,6 +217,7 @@ pub fn melting_ball() -> Outcome {
     let whole = (0.5 - start / (3.0 * outer)) * start * start / (stefan * k);
     // ½R² − R³/3R_o falls linearly.
     let measure = |r: f64| 0.5 * r * r - r.powi(3) / (3.0 * outer);
+    let (exact, path) = radial_melting(radius, outer, stefan, k);
     let (mut time, mut melted) = (0.0, f64::NAN);
     let (mut ours, mut worst) = (Vec::new(), 0.0f64);
     while time < 1.3 * whole {
@@ -197,7 +231,8 @@ pub fn melting_ball() -> Outcome {
         if ours.len() < (40.0 * time / whole) as usize {
             ours.push([time / whole, measure(r) / measure(start)]);
             if time < 0.9 * whole {
-                worst = worst.max((measure(r) / measure(start) - (1.0 - time / whole)).abs());
+                let at = path.partition_point(|p| p[0] < time).min(path.len() - 1);
+                worst = worst.max((measure(r) / measure(start) - measure(path[at][1]) / measure(radius)).abs());
             }
         }
         if r < 0.02 * start {
@@ -207,12 +242,20 @@ pub fn melting_ball() -> Outcome {
     }
     let plot = Plot::new("what is left of a ball that melts inside its melt", "t / t_{melt}", "(½R² − R³/3R_{o}) over its start")
         .reference("quasi-steady solution", vec![[0.0, 1.0], [1.0, 0.0]])
+        .reference(
+            "radial solution, St = 0.02",
+            path.iter().step_by(path.len() / 100).map(|p| [p[0] / whole, measure(p[1]) / measure(radius)]).collect(),
+        )
         .ours("nodes", ours);
     let rows = vec![
-        Row::relative("melting time [steps]", whole, melted, 0.04),
-        Row::new("largest departure from the line before 0.9 t_melt", 0.0, worst, 0.04),
+        Row::relative("melting time [steps]", exact, melted, 0.04),
+        Row::new("largest departure of ½R² − R³/3R_o from the radial solution before 0.9 t_melt", 0.0, worst, 0.04),
     ];
-    Outcome::from(rows).plot(plot)
+    Outcome::from(rows).plot(plot).note(format!(
+        "the quasi-steady formula gives {whole:.0}: it leaves out the heat that the melt takes up, a fifth of the latent heat of the ball at \
+         St = 0.02, and ends {:.1} % early; the reference is the same problem solved along the radius",
+        100.0 * (exact / whole - 1.0)
+    ))
 }
 
 /// V17: the power that a lit ball takes, and what stands in its shadow.
