@@ -174,6 +174,22 @@ fn sources_reach_their_body_alone() {
 }
 
 #[test]
+fn no_point_gets_hotter_than_what_holds_it() {
+    let materials = [metal()];
+    let mut solver = ThermalSolver::new(grid(), &materials, 293.15, ThermalOptions::default());
+    let mut cloud = two_bodies(&solver, &materials, [300.0; 2]);
+    // The top, unevenly; conduction hardly matters in these short steps.
+    let top = Shape::Sphere { center: [0.06, 0.06, 0.12], radius: 0.05 };
+    let sources = [source(top.into(), SourceKind::Temperature { kelvin: 400.0 })];
+    for _ in 0..100 {
+        let audit = cloud.step(&mut solver, 1e-4, &sources, None).expect("a stable step");
+        assert!(audit.closes(1e-11) && audit.dirichlet > 0.0);
+    }
+    let hottest = cloud.h.iter().map(|h| solver.temperature(0, *h)).fold(0.0, f64::max);
+    assert!(hottest > 399.0 && hottest < 401.0, "{hottest}");
+}
+
+#[test]
 fn tracers_listen_and_keep_what_they_cannot_hear() {
     let materials = [wax()];
     let mut solver = ThermalSolver::new(grid(), &materials, 293.15, ThermalOptions::default());

@@ -38,6 +38,19 @@ pub(crate) struct Terms {
     /// One per source, then one for the film of the air model if there is one.
     pub(crate) reports: Vec<SourceReport>,
     weight: Vec<f64>,
+    /// What sources that hold a temperature brought, for those of the temperature named first.
+    pub(crate) held: Held,
+}
+
+/// Heat by which nodes were held at one temperature.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Held {
+    /// The temperature \[K\].
+    pub(crate) kelvin: f64,
+    /// Heat per node \[J\]; empty without such a source.
+    pub(crate) heat: Vec<f64>,
+    /// Sources of this temperature, by their number.
+    sources: Vec<usize>,
 }
 
 /// What the terms of a step need to know about the nodes.
@@ -72,12 +85,27 @@ impl HeatSource {
     }
 }
 
+impl Held {
+    /// Notes that source `number` holds `kelvin`.
+    fn add(&mut self, kelvin: f64, number: usize, nodes: usize) {
+        if self.heat.is_empty() {
+            self.kelvin = kelvin;
+            self.heat.resize(nodes, 0.0);
+        }
+        if self.kelvin == kelvin {
+            self.sources.push(number);
+        }
+    }
+}
+
 impl Terms {
     /// Forgets the last step.
     pub(crate) fn clear(&mut self) {
         self.terms.clear();
         self.ranges.clear();
         self.reports.clear();
+        self.held.heat.clear();
+        self.held.sources.clear();
     }
 
     /// Adds the terms of one source.
@@ -142,6 +170,9 @@ impl Terms {
         let volume = cx.grid.spacing.powi(3);
         let dx2 = cx.grid.spacing.powi(2);
         let value = |constant| source.schedule.value(cx.time, constant);
+        if let SourceKind::Temperature { kelvin } = &source.kind {
+            self.held.add(value(*kelvin), self.ranges.len(), cx.network.len());
+        }
         let Self { terms, weight, .. } = self;
         let each = || weight.iter().enumerate().filter(|(_, w)| **w > 0.0);
         let term = |slot: usize, a, b| Term { slot: slot as u32, a, b };
@@ -213,7 +244,8 @@ impl Terms {
     /// Applies everything to the energies of the nodes for `dt` seconds.
     pub(crate) fn apply(&mut self, network: &mut Network, dt: f64) {
         let mut start = 0;
-        for (&(end, action), report) in self.ranges.iter().zip(&mut self.reports) {
+        for (number, (&(end, action), report)) in self.ranges.iter().zip(&mut self.reports).enumerate() {
+            let held = self.held.sources.contains(&number);
             let mut heat = 0.0;
             for t in &self.terms[start..end] {
                 let s = t.slot as usize;
@@ -225,6 +257,9 @@ impl Terms {
                 };
                 network.e[s] += q;
                 heat += q;
+                if held {
+                    self.held.heat[s] += q;
+                }
             }
             report.heat += heat;
             start = end;

@@ -143,7 +143,7 @@ impl Composition {
     }
 
     /// Energy of a node at temperature `t`.
-    fn energy(&self, media: &[Medium], kind: Kind, mass: f64, t: f64) -> f64 {
+    pub(crate) fn energy(&self, media: &[Medium], kind: Kind, mass: f64, t: f64) -> f64 {
         match kind {
             Kind::One(m) => mass * media[m as usize].curve.enthalpy(t),
             Kind::Mixed(i) => self.curves.iter().zip(self.masses(i)).map(|(c, m)| if *m > 0.0 { m * c.enthalpy(t) } else { 0.0 }).sum(),
@@ -258,6 +258,11 @@ impl Network {
         let air = if self.is_thin(slot) { 0.0 } else { cell * (1.0 - self.phi[slot]).max(0.0) };
         (self.air[slot], self.air_t[slot]) = (air, t);
         air * t
+    }
+
+    /// Energy of a node with its air at the start of the step \[J\].
+    pub(crate) fn start_energy(&self, slot: usize) -> f64 {
+        self.e0[slot] + self.air_capacity(slot) * self.air_t.get(slot).copied().unwrap_or(0.0)
     }
 
     /// Heat capacity of the air in a node \[J/K\].
