@@ -113,6 +113,27 @@ fn v_t1_a_static_body_stops_toggling_and_a_closed_one_shows_little_of_its_inside
 }
 
 #[test]
+fn v_t1_a_molten_film_at_rest_stops_toggling_too_and_grows_together() {
+    let b = ball(2500, 0.14).slump();
+    let molten = vec![1u8; b.surface.len()];
+    let mut d = Densifier::new(b.anatomy.clone(), DensifySettings { resolution: [64, 96], ..DensifySettings::default() });
+    let mut before: Option<Gaussians> = None;
+    for k in 0..16 {
+        let mut surface = b.surface.clone();
+        let grown = d.cover(&mut surface, &molten);
+        assert!(grown * 10 > surface.len(), "{grown}");
+        let frame = Deformed { surface: &surface, phase: &molten, ..b.frame() };
+        let r = d.advance(&frame, &[], 1.0 / 24.0);
+        if k >= 10 {
+            assert_eq!(r.toggles, 0.0, "frame {k}");
+            let same = |c: &[f32; 6], e: &[f32; 6]| c.iter().zip(e).all(|(a, b)| (a - b).abs() < 2e-3);
+            assert!(before.is_none_or(|g| g.covariance.iter().zip(&surface.covariance).all(|(a, b)| same(a, b))), "frame {k}");
+        }
+        before = Some(surface);
+    }
+}
+
+#[test]
 fn cracks_of_a_slump_are_sealed() {
     let b = ball(4000, 0.1).slump();
     let delta = b.anatomy.spacing;
