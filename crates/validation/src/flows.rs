@@ -16,7 +16,7 @@ pub const CASES: &[Case] = &[
         .formula("p = ρgz, fall of the surface ρgH²/2K"),
     Case::new("V33", "yield-stress flow down an incline", Tier::C, incline)
         .proves("Herschel–Bulkley flow and the sticky wall in the full method")
-        .setup("layer of 0.05 m (16 cells) on a slope of 30°, τ_{0} = 100 Pa, exactly periodic along the slope; n = 1 with κ = 5; n = ½ with κ = 40")
+        .setup("layer of 0.05 m on a slope of 30°, τ_{0} = 100 Pa, exactly periodic along the slope; n = 1 with κ = 5 and n = ½ with κ = 40 (16 cells); n = ½ with κ = 10 under 0.6 of the pull (32 cells)")
         .formula("plug speed V = n/(n+1) (ρg sin θ/κ)^{1/n} y_{p}^{(n+1)/n} above the yielded depth y_{p} = H − τ_{0}/(ρg sin θ)"),
 ];
 
@@ -145,9 +145,10 @@ impl Layer {
     }
 }
 
-/// Speed along the slope over the distance from the wall, after `seconds`, under a `share` of the pull of gravity along the slope.
-fn flow_down(index: f64, kappa: f64, share: f64, seconds: f64) -> Vec<[f64; 2]> {
-    let (cells, height) = (16usize, 0.05);
+/// Speed along the slope over the distance from the wall, after `seconds`, under a `share` of the pull of gravity along the slope, in a
+/// layer of `cells` cells.
+fn flow_down(index: f64, kappa: f64, share: f64, seconds: f64, cells: usize) -> Vec<[f64; 2]> {
+    let height = 0.05;
     let dx = height / cells as f64;
     let thickness = 2.0 * dx;
     let grid = Grid { origin: [-8.0 * dx, -2.5 * dx, -2.0 * dx], spacing: dx, nodes: [21, 8, cells + 8] };
@@ -187,15 +188,15 @@ fn incline() -> Outcome {
     let mut rows = Vec::new();
     let mut plot = Plot::new("speed of a layer on a slope", "distance from the wall [m]", "speed / plug speed");
     let mut measured = Vec::new();
-    for (n, kappa, share, seconds) in [(1.0, 5.0, 1.0, 1.5), (0.5, 40.0, 1.0, 1.5)] {
+    for (n, kappa, share, cells) in [(1.0, 5.0, 1.0, 16usize), (0.5, 40.0, 1.0, 16), (0.5, 10.0, 0.6, 32)] {
         let pull = share * 1000.0 * GRAVITY * 0.5;
         let yielded = height - tau_0 / pull;
         let k = n / (n + 1.0);
         let q: f64 = 1.0 + 1.0 / n;
         let plug = k * (pull / kappa).powf(1.0 / n) * yielded.powf(q);
         let exact = move |z: f64| plug * (1.0 - (1.0 - z / yielded).max(0.0).powf(q));
-        let profile = flow_down(n, kappa, share, seconds);
-        let speed = profile[profile.len() - 8..].iter().map(|v| v[1]).sum::<f64>() / 8.0;
+        let profile = flow_down(n, kappa, share, 1.5, cells);
+        let speed = profile[profile.len() - cells / 2..].iter().map(|v| v[1]).sum::<f64>() / (cells / 2) as f64;
         // (1 − v/V)^{1/q} falls linearly to zero at the yielded depth.
         let fit: Vec<[f64; 2]> = profile
             .iter()
@@ -206,18 +207,26 @@ fn incline() -> Outcome {
         let (mx, my) = (mean(&|v| v[0]), mean(&|v| v[1]));
         let slope = mean(&|v| (v[0] - mx) * (v[1] - my)) / mean(&|v| (v[0] - mx).powi(2));
         let flux = height * profile.iter().map(|v| v[1]).sum::<f64>() / profile.len() as f64;
-        let name = if n == 1.0 { "n = 1" } else { "n = ½" };
+        let name = if n == 1.0 { "n = 1, κ = 5".to_owned() } else { format!("n = ½, κ = {kappa}") };
         rows.push(Row::relative(format!("{name}: plug speed [m/s]"), plug, speed, 0.05));
         rows.push(Row::relative(format!("{name}: yielded depth [m]"), yielded, mx - my / slope, 0.05));
         rows.push(Row::relative(format!("{name}: flux [m²/s]"), plug * (height - yielded / (q + 1.0)), flux, 0.05));
-        plot = plot.function(name, 0.0, height, move |z| exact(z) / plug);
+        plot = plot.function(name.clone(), 0.0, height, move |z| exact(z) / plug);
         measured.push((name, profile.into_iter().map(|v| [v[0], v[1] / plug]).collect::<Vec<_>>()));
     }
     for (name, profile) in measured {
         plot = plot.ours(name, profile);
     }
     Outcome::from(rows).plot(plot).note(
-        "With the design's κ = 10 and n = ½ the plug reaches 0.62 m/s instead of 2.08: that case fails, and κ = 40 is shown in its place. \
-         A drag of about 0.07 ρΔx²/Δt in the first cell over a sticky wall would explain it; this is an estimate by hand, no refinement was run.",
+        "The design asks for κ = 10 on 16 cells and allows 0.6 of the pull, which here needs 32 cells. Under the full pull (V = 2.08 m/s) that melt is too thin for \
+         16 cells. The run gives 1.172 m/s after 1.5 s and is not yet steady; a model of the layer in one dimension, with APIC and the flow rule \
+         but without pressure, gives 1.174 m/s. So the cause is the transfer, not the volume. Steady plug speeds of the model over the exact one: 0.68 on 16 cells, 0.88 \
+         on 32, 0.97 on 64; on 16 cells 0.42 with a quarter of the substep and 0.80 with twice; under 0.6 of the pull 0.83 on 16 and 0.99 on 32. Two things smooth \
+         velocities once per substep: hidden nodes at rest take momentum from the first cell over a sticky wall, and APIC damps curvature, both like a \
+         viscosity that grows with ρΔx²/Δt. Two remedies were tried. Nodes that mirror the first cell give 0.88 on 16 and 0.97 on 32 cells in the model, but in three \
+         dimensions the points on 32 cells lose their order at 1.4 m/s and the plug sinks by 4 %. Adding the changes of the nodes to the points' own \
+         velocities gives 0.96 on 16 cells for any substep in the model, but in three dimensions the plug sinks by 12 % within 6 s. Neither is used. For scenes: \
+         a Newtonian layer of N cells (model, N = 4, 8, 16) on a sticky face of the box keeps 90 % of the speed that its grid gives thick melts if its viscosity \
+         is at least about 0.5 ρcΔx/N, c the wave speed. Thinner melts flow too slowly, not too fast; at rest this drag vanishes.",
     )
 }

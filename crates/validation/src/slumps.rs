@@ -17,11 +17,11 @@ pub const CASES: &[Case] = &[
         .formula("R = (225 ρgV²/(128 π² τ_{0}))^{1/5}, height √(2τ_{0}R/ρg) (Roussel & Coussot 2005); R ∝ τ_{0}^{−1/5}"),
     Case::new("V36", "slump of a cylinder", Tier::C, slump_test)
         .proves("the yield stress where it is high: how much of a body stays standing")
-        .setup("H = D = 0.1 m on a sticky floor, yield stresses τ* = τ_{0}/ρgH of 0.05–0.2 and 0.6, κ = 20 Pa s, gravity grows over a second, Δx = 6.25 mm")
+        .setup("H = D = 0.1 m on a sticky floor, yield stresses τ* = τ_{0}/ρgH of 0.05–0.2 and 0.6, κ = 20 Pa s (5 Pa s for τ* = 0.05), gravity grows over a second, Δx = H/16 (H/28 for τ* = 0.05, whose deposit is the thinnest)")
         .formula("slump/H = 1 − aτ*(1 − ln aτ*), between a = √3 (von Mises) and a = 2 (Tresca) (Pashias et al. 1996)"),
     Case::new("V38", "collapse of a sand column", Tier::C, sand)
         .proves("Drucker–Prager friction and its volume correction")
-        .setup("φ = 31°, columns of aspect 1 and 2 on a rough floor, Δx = 5 mm")
+        .setup("φ = 31°, columns of aspect 1 and 2 on a floor with the friction of the sand, tan φ, 20 and 15 cells per radius")
         .formula("run-out (r − r_{0})/r_{0} = 1.24 a below a = 1.7, 1.6 √a above (Lube et al. 2004)"),
 ];
 
@@ -57,6 +57,17 @@ impl Quarter {
         let mirrors = vec![mirror([1.0, 0.0, 0.0]), mirror([0.0, 1.0, 0.0])];
         let m = Mechanics::new(&grid, Settings { walls, track_total: false, ..Settings::default() }, mirrors);
         Self { p, m, dx }
+    }
+
+    /// The floor holds by friction alone, in place of sticking.
+    fn on_friction(mut self, friction: f64) -> Self {
+        let up = Shape::HalfSpace { point: [0.0; 3], normal: [0.0, 0.0, 1.0] };
+        let floor = Collider { friction, offset: 1e-3, melt_sticks: false, ..Collider::new(up) };
+        let mut settings = self.m.settings;
+        settings.walls[2][0] = Wall::Slip;
+        let colliders = self.m.colliders().iter().cloned().chain([floor]).collect();
+        self.m = Mechanics::new(self.p.grid(), settings, colliders);
+        self
     }
 
     fn bingham(&mut self, tau_0: f64, kappa: f64) {
@@ -142,9 +153,11 @@ fn slump_test() -> Outcome {
     let mut rows = Vec::new();
     let mut measured = Vec::new();
     for t in [0.05, 0.1, 0.15, 0.2, 0.6] {
-        let mut q = Quarter::new(6.25e-3, 0.05, height, 0.16, 1000.0, 3e4, 1e5);
-        q.bingham(t * 1000.0 * GRAVITY * height, 20.0);
-        q.release(1.0, 4.0);
+        let thin = t < 0.08;
+        let (dx, reach, kappa, seconds) = if thin { (height / 28.0, 0.115, 5.0, 2.4) } else { (height / 16.0, 0.16, 20.0, 4.0) };
+        let mut q = Quarter::new(dx, 0.05, height, reach, 1000.0, 3e4, 1e5);
+        q.bingham(t * 1000.0 * GRAVITY * height, kappa);
+        q.release(1.0, seconds);
         let slump = 1.0 - q.top() / height;
         measured.push([t, slump]);
         if t < 0.5 {
@@ -160,7 +173,10 @@ fn slump_test() -> Outcome {
         .function("Tresca", 0.02, 0.6, move |t| theory(2.0, t))
         .ours("ours", measured);
     Outcome::from(rows).plot(plot).note(
-        "At τ* = 0.05 the slump is too small. It may still be creeping when the run ends (a thicker melt gave 0.528 after two seconds), for the theory knows no viscosity; a longer run was not made.",
+        "At τ* = 0.05 the slump converges from below with the first power of Δx: 0.568 on H/16, 0.591 on H/24, 0.598 on H/28, which extrapolates to 0.64 \
+         (reference 0.67 to 0.70); on H/16 the case fails. It is no creep: on H/16 κ = 20 Pa s rests at 0.571 after 12 s and κ = 5 Pa s at 0.571 \
+         after 6 s. Nor is it the mirrors: a whole cylinder differs by 0.003. The theory stacks discs that slide freely: on a slip floor the same \
+         cylinder (H/16, κ = 20 Pa s) slumps by 0.80 in 3 s. The design names neither Δx nor κ; gravity that grows over a second is its slow release.",
     )
 }
 
@@ -170,14 +186,15 @@ fn sand() -> Outcome {
     let slope = Material { friction_angle: phi.to_radians(), ..Material::default() }.friction_slope();
     let mut rows = Vec::new();
     let mut plot = Plot::new("heaps of sand", "radius [m]", "height [m]").equal_axes();
-    for aspect in [1.0f64, 2.0] {
+    for (aspect, cells) in [(1.0f64, 20.0), (2.0, 15.0)] {
         let (height, r_0) = (0.1, 0.1 / aspect);
-        let mut q = Quarter::new(5e-3, r_0, height, 0.34, 1600.0, shear, bulk);
+        let reach = r_0 * (2.3 + 0.5 * aspect);
+        let mut q = Quarter::new(r_0 / cells, r_0, height, reach, 1600.0, shear, bulk).on_friction(phi.to_radians().tan());
         q.p.law.fill(DRUCKER_PRAGER);
         q.p.law_constant.fill(slope as f32);
-        q.run(0.8);
+        q.run(0.6);
         let runout = if aspect < 1.7 { 1.24 * aspect } else { 1.6 * aspect.sqrt() };
-        rows.push(Row::relative(format!("a = {aspect}: run-out / r_0"), runout, q.radius(0.99) / r_0 - 1.0, 0.2));
+        rows.push(Row::relative(format!("a = {aspect}: run-out / r_0"), runout, q.radius(0.999) / r_0 - 1.0, 0.2));
         let contour = q.contour();
         let top = contour.iter().map(|c| c[1]).fold(0.0, f64::max);
         let at = |share: f64| contour.iter().rev().find(|c| c[1] >= share * top).map_or(0.0, |c| c[0]);
@@ -194,7 +211,11 @@ fn sand() -> Outcome {
             .ours(format!("a = {aspect}"), contour);
     }
     Outcome::from(rows).plot(plot).note(
-        "The run-out is that of 99 % of the sand; if the heap were a cone, its edge would lie 6 % further out. \
-         What else is missing is not known: neither the size of the cells nor the sticky floor was varied.",
+        "The published radius is the edge of the deposit, so the run-out is that of 99.9 % of the sand: in a cone the last thousandth begins 2 % before the edge, the last \
+         hundredth 6 %. Before, the case took 99 % of the sand on a sticky floor and missed by 26 and 30 %. At a = 1 (H/20) that measure gives 0.91, 99.9 % gives \
+         0.98, and a floor with friction gives 1.06. At a = 2 with 10 cells per radius a floor with friction gives 1.77; with 15 cells a sticky \
+         floor gives 1.78 and friction 2.03. A sticky floor forces the shear of the lowest grains into the first cells, which are as deep as the front; sand on \
+         rough ground slides there at tan φ, and the experiments found no influence of the ground. The cone of the yield law meets Mohr–Coulomb in simple \
+         shear, where the design's meets it in triaxial compression: with that one sand slides at up to 36° instead of 31°.",
     )
 }
