@@ -50,7 +50,7 @@ fn discs() -> Outcome {
     let (shear, bulk) = moduli(1000.0, 0.3);
     let mut rows = Vec::new();
     let mut plot = Plot::new("energy of two colliding discs", "time [s]", "energy / start");
-    for (cells, least) in [(32usize, 0.84), (64, 0.92)] {
+    for (cells, least, margin) in [(32usize, 0.84, 0.03), (64, 0.92, 0.01)] {
         let dx = 1.0 / cells as f64;
         let grid = Grid { origin: [-4.0 * dx, -2.5 * dx, -4.0 * dx], spacing: dx, nodes: [cells + 9, 8, cells + 9] };
         let all = block(&grid, [0.0; 3], [1.0, 2.0 * dx, 1.0], 1000.0, shear, bulk);
@@ -72,9 +72,9 @@ fn discs() -> Outcome {
         let (start, _, _) = balance(&p);
         let impulse = 0.5 * 0.1 * p.mass.iter().map(|&m| f64::from(m)).sum::<f64>();
         let (mut total, mut kinetic) = (Vec::new(), Vec::new());
-        // Half the stable limit that the design found; every transfer takes its share of the energy, so a step of 0.4 loses a little more.
+        // The elastic step of the solver. Every transfer takes its share of the energy: with 0.5 in place of 0.4 they keep 0.875 and 0.943.
         let frame = 0.04;
-        let steps = (frame / (0.5 * dx / ((bulk + 4.0 / 3.0 * shear) / 1000.0).sqrt())).round() as usize;
+        let steps = (frame / (0.4 * dx / ((bulk + 4.0 / 3.0 * shear) / 1000.0).sqrt())).round() as usize;
         for k in 0..=90 {
             let (motion, strain, _) = balance(&p);
             total.push([f64::from(k) * frame, (motion + strain) / start]);
@@ -88,10 +88,12 @@ fn discs() -> Outcome {
         let lowest = kinetic.iter().map(|k| k[1]).fold(1.0, f64::min);
         rows.push(Row::new(format!("{cells}²: momentum / that of one disc"), 0.0, vec3::norm(momentum) / impulse, 1e-5));
         rows.push(Row::new(format!("{cells}²: total energy at 3.6 s / start"), 0.5 * (1.0 + least), last, 0.5 * (1.0 - least)));
-        rows.push(Row::new(format!("{cells}²: least kinetic energy / start"), 0.04, lowest, 0.03));
+        rows.push(Row::new(format!("{cells}²: least kinetic energy / start"), 0.04, lowest, margin));
         plot = plot.ours(format!("total, {cells}²"), total).ours(format!("kinetic, {cells}²"), kinetic);
     }
-    Outcome::from(rows).plot(plot)
+    Outcome::from(rows)
+        .plot(plot)
+        .note("The design's least kinetic energy of 3–5 % holds at 64²; at 32² it is 2.2 %, and the row is wider.")
 }
 
 /// Period over that of the theory of a beam `cells` high, and the deflection of its tip over time in periods.
