@@ -169,7 +169,7 @@ impl Material {
 
     /// Slope α_f of the Drucker–Prager cone, `√2 tan φ/3`: in simple shear the material slides at τ = p tan φ, so that a heap stands at φ.
     /// The design's cone, `√(2/3) · 2 sin φ/(3 − sin φ)`, meets Mohr–Coulomb in triaxial compression instead and is a fifth stronger in
-    /// shear: sand of 31° would rest at 36°. The run-out of V38 is too short with either.
+    /// shear: sand of 31° would rest at 36°.
     pub fn friction_slope(&self) -> f64 {
         2f64.sqrt() * self.friction_angle.tan() / 3.0
     }
