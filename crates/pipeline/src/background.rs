@@ -5,13 +5,14 @@ use std::sync::Arc;
 
 use megas_geometry::Field;
 use megas_math::{Vec3, vec3};
-use megas_model::{Camera, fibonacci_directions};
+use megas_model::{Camera, Splats, fibonacci_directions};
 use megas_raster::{Channels, Frame, Gaussians, Rasterizer, Settings};
 use megas_sim::collider::Shape;
 use megas_sim::grid::Grid;
 use rayon::prelude::*;
 
 use crate::body::Bodies;
+use crate::scenery::standing;
 
 /// Directions on the whole sphere; those from above are used.
 const DIRECTIONS: usize = 96;
@@ -28,14 +29,15 @@ const TRUNCATION: f64 = 4.0;
 /// What surfaces seen at a glancing angle count at least.
 const LEAST_WEIGHT: f32 = 0.05;
 
-/// The solid that the background splats bound, or `None` without any. Space that no view has seen is free. Under the objects,
-/// where nobody can see, it is solid up to the height `support`.
+/// The solid that the background splats bound, or `None` without any; scenery that moves is no part of it. Space that no view
+/// has seen is free. Under the objects, where nobody can see, it is solid up to the height `support`.
 pub fn background_shape(bodies: &Bodies, grid: &Grid, support: f64) -> Option<Shape> {
-    if bodies.background.is_empty() {
+    let background = standing(&bodies.background);
+    if background.is_empty() {
         return None;
     }
     let scale = bodies.meta.similarity.metres_per_unit;
-    let views = look(bodies, grid);
+    let views = look(&background, bodies, grid);
     let reach = TRUNCATION * grid.spacing;
     let footprint = |x: Vec3<f64>| {
         let margin = 2.0 * grid.spacing;
@@ -88,13 +90,13 @@ impl View {
 }
 
 /// The background alone, from above, as far as the simulation box.
-fn look(bodies: &Bodies, grid: &Grid) -> Vec<View> {
+fn look(background: &Splats, bodies: &Bodies, grid: &Grid) -> Vec<View> {
     let similarity = &bodies.meta.similarity;
     let corner = grid.position(grid.nodes.map(|n| n - 1));
     let center: Vec3<f32> = vec3::cast(similarity.to_scene(vec3::lerp(grid.origin, corner, 0.5)));
     let half = 0.5 * vec3::norm(vec3::sub(corner, grid.origin)) / similarity.metres_per_unit;
     let side = ((2.0 * half * similarity.metres_per_unit / grid.spacing * PIXELS) as u32).clamp(16, MOST_PIXELS);
-    let gaussians = Gaussians::from_splats(&bodies.background);
+    let gaussians = Gaussians::from_splats(background);
     let settings = Settings { anti_aliased: bodies.meta.antialiased, ..Settings::default() };
     let mut rasterizer = Rasterizer::new();
     let mut frame = Frame::default();

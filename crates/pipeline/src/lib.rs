@@ -17,6 +17,7 @@ mod plan;
 mod reconstruct;
 mod render;
 mod run;
+mod scenery;
 mod simulate;
 mod skin;
 mod source;

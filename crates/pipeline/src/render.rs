@@ -15,6 +15,7 @@ use crate::body::{Bodies, scene_objects, total_height};
 use crate::cameras::camera_paths;
 use crate::convert::resolve_material;
 use crate::disk::{create_dir, frame_path};
+use crate::scenery::Scenery;
 use crate::simulate::read_frame;
 use crate::skin::{Dresser, forget};
 use crate::stage::StageDir;
@@ -33,7 +34,6 @@ struct Studio<'a> {
     paths: Vec<(String, CameraPath)>,
     size: (u32, u32),
     style: ThermalStyle,
-    background: Gaussians,
     skin: Dresser,
     surface: usize,
     antialiased: bool,
@@ -60,7 +60,6 @@ pub fn render(
         paths: camera_paths(scene, &bodies.meta)?,
         size: scene.picture_size(),
         style: thermal_style(scene, bodies, simulated, total)?,
-        background: Gaussians::from_splats(&bodies.background),
         skin: Dresser::new(scene, bodies),
         surface: bodies.surface.len(),
         antialiased: bodies.meta.antialiased,
@@ -69,7 +68,7 @@ pub fn render(
         up: to_scene_axes(bodies, [0.0, 0.0, 1.0]),
         lamp: to_scene_axes(bodies, LAMP),
     };
-    studio.background.temperature.fill(scene.ambient_k() as f32);
+    let mut scenery = Scenery::new(scene, bodies);
     stage.begin()?;
     sink.event(Event::Stage { name: "render", steps: total });
     let start = Instant::now();
@@ -105,13 +104,14 @@ pub fn render(
             sink.event(Event::Step { done: k + 1 });
             continue;
         }
+        scenery.set(k as f64 * scene.time.frame_dt_s());
         if let Some(sequence) = ply {
             let mut baked = bake_splats(&posed, studio.surface);
-            baked.append(&bodies.background);
+            baked.append(&scenery.splats);
             sequence.write(k as u32, &baked).map_err(|e| Failure::Input(e.to_string()))?;
         }
         let liquid = &studio.skin.liquid(&points, posed.len());
-        posed.extend_from(&studio.background);
+        posed.extend_from(&scenery.gaussians);
         studio.appearance.apply(&mut posed, liquid);
         let matt = if studio.appearance.wet > 0.0 { posed.sh.clone() } else { Vec::new() };
         for camera in wanted {

@@ -95,11 +95,11 @@ fn input(scene: &Scene, r: &mut Report) {
     if i.table.is_some() && i.bodies.is_empty() {
         r.say("input.table", "input.table stands under procedural bodies; it needs [[input.body]]");
     }
-    bodies(i, r);
+    bodies(i, &scene.objects, r);
     direction(i.up.0, "input.up", r);
 }
 
-fn bodies(i: &Input, r: &mut Report) {
+fn bodies(i: &Input, objects: &[Object], r: &mut Report) {
     r.inside("input", None, |r| {
         unique(i.bodies.iter().map(|b| b.name.as_str()), "body", r);
         for (k, b) in i.bodies.iter().enumerate() {
@@ -115,6 +115,14 @@ fn bodies(i: &Input, r: &mut Report) {
                     (true, false) => r.say("form", "input.body: form = \"mesh\" needs mesh = \"file.ply\""),
                     (false, true) => r.say("mesh", "input.body.mesh is for form = \"mesh\""),
                     _ => {}
+                }
+                motion(&b.motion, r);
+                let simulated = objects.is_empty() || objects.iter().any(|o| o.parts.contains(&b.name));
+                if simulated && !b.motion.is_empty() {
+                    r.say("motion", "input.body.motion is for scenery, and this body is simulated; list the others in [[object]] parts");
+                }
+                if simulated && b.temperature_c.is_some() {
+                    r.say("temperature_c", "input.body.temperature_c is for scenery; a simulated body has object.initial_temperature_c");
                 }
             });
         }

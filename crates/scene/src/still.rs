@@ -4,6 +4,7 @@ use megas_math::{mat3, quat, vec3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::heat::MotionKey;
 use crate::value::Colour;
 
 /// Form of a procedural body; `size_m` is the box around it before it is turned.
@@ -41,7 +42,7 @@ pub enum Pattern {
 }
 
 /// A procedural body. Objects take bodies by name through `parts`; without any `object`, every body is an object of its own.
-/// Bodies of no object stand still as background.
+/// Bodies of no object are scenery: drawn, but not simulated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InputBody {
@@ -77,6 +78,14 @@ pub struct InputBody {
     /// How much light leaks through shadowed parts.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub translucency: f64,
+    /// Scenery only: how it moves, a rigid motion about its centre, linear between keyframes. Give it the keyframes of the
+    /// heat source or collider that it shows.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub motion: Vec<MotionKey>,
+    /// Scenery only: temperature in °C that thermal films and glow show; ambient if left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -273.15, max = 10000.0))]
+    pub temperature_c: Option<f64>,
 }
 
 impl Default for InputBody {
@@ -94,6 +103,8 @@ impl Default for InputBody {
             pattern: Pattern::Marble,
             gloss: 0.2,
             translucency: 0.2,
+            motion: Vec::new(),
+            temperature_c: None,
         }
     }
 }

@@ -146,6 +146,8 @@ fn procedural_bodies_are_checked() {
     let one = |text: &str| problems(text)[0].to_string();
     assert!(one("[input]\nsplat = 'a'\n[[input.body]]\n").contains("either splat or [[input.body]]"));
     assert!(one("[[input.body]]\nform = 'mesh'").contains("needs mesh"));
+    assert!(one("[[input.body]]\nmotion = [{ time_s = 1 }]").contains("is for scenery"));
+    assert!(one("[[input.body]]\ntemperature_c = 20").contains("object.initial_temperature_c"));
     assert!(one("[[input.body]]\nsize_m = [0.1, 0.1, 0]").contains("every side"));
     assert!(one("[[input.body]]\nform = 'torus'\nsize_m = [0.1, 0.1, 0.06]").contains("thinner than"));
     let parts = "[[input.body]]\nname = 'cake'\n[[object]]\nname = 'o'\nparts = ['cak']";

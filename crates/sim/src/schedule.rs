@@ -172,6 +172,11 @@ impl Pose {
         if self.still { n } else { mat3::mul_vec(self.rotation, n) }
     }
 
+    /// The rotation.
+    pub fn rotation(&self) -> Mat3<f64> {
+        self.rotation
+    }
+
     /// Velocity of the thing at `x` \[m/s\].
     pub fn velocity_at(&self, x: Vec3<f64>) -> Vec3<f64> {
         vec3::add(self.velocity, vec3::cross(self.spin, vec3::sub(x, self.place)))

@@ -12,6 +12,7 @@ use megas_scene::{BodyForm, InputBody, Object, Pattern};
 use serde_json::Value;
 
 use super::{Bodies, Source, finish, indices, one_body};
+use crate::scenery::mark;
 use crate::{Failure, LoadedScene, Sink};
 
 /// Least distance of two splats in simulator cells: coarser ones open cracks when the body stretches, finer ones only cost time.
@@ -73,7 +74,8 @@ pub fn build(loaded: &LoadedScene, objects: &[Object], sink: &dyn Sink) -> Resul
         }
         bodies.push(body);
     }
-    let background = splats.select(&owners.iter().enumerate().filter(|(_, w)| w.is_none()).map(|(i, _)| i).collect::<Vec<_>>());
+    let mut background = splats.select(&owners.iter().enumerate().filter(|(_, w)| w.is_none()).map(|(i, _)| i).collect::<Vec<_>>());
+    mark(&mut background, scene);
     let own = |_: usize, _: [f64; 3], object: usize| object;
     let (mut out, figures) = finish(scene, objects, bodies, background, similarity, dx_m, &own, Some(0.0), sink)?;
     out.meta.antialiased = true;
