@@ -149,7 +149,8 @@ pub fn markdown(results: &Results) -> String {
     let mut out = String::from("# Validation\n\n");
     let _ = writeln!(
         out,
-        "Made by `megas validate --full --markdown docs/validation.md`; the same command writes `validation.html` with a figure for\n\
+        "Made by `megas validate --markdown FILE`, with `--full` for the cases that take longer than a minute;\n\
+         the same command writes `validation.html` with a figure for\n\
          almost every case. A number passes when |ours − reference| ≤ tolerance; *used* is the largest share of a tolerance that a case uses\n\
          up. References are analytic solutions, conservation laws or published benchmarks. Time is processor time of all threads.\n\n\
          **{} of {} cases passed, {} of {} numbers, {}.**\n",
