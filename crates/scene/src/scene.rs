@@ -156,10 +156,14 @@ impl Scene {
         if self.cameras.is_empty() { vec![Camera::default()] } else { self.cameras.clone() }
     }
 
+    /// True if a procedural body is part of an object; the others are scenery.
+    pub fn simulates(&self, body: &InputBody) -> bool {
+        self.objects.is_empty() || self.objects.iter().any(|o| o.parts.contains(&body.name))
+    }
+
     /// Real size \[m\] and which object (index into `objects`) has it; `None` = all objects together.
     pub fn size_m(&self) -> (f64, Option<usize>) {
-        let moves = |b: &InputBody| self.objects.is_empty() || self.objects.iter().any(|o| o.parts.contains(&b.name));
-        if let Some((lo, hi)) = self.input.bodies_box(moves) {
+        if let Some((lo, hi)) = self.input.bodies_box(|b| self.simulates(b)) {
             return ((0..3).map(|a| hi[a] - lo[a]).fold(0.0, f64::max), None);
         }
         let given = self.objects.iter().enumerate().find_map(|(i, o)| o.size_m.map(|s| (s, Some(i))));

@@ -5,7 +5,6 @@ use crate::check::Step;
 use crate::collider::{Collider, ColliderShape};
 use crate::diagnostic::suggestion;
 use crate::heat::{Heat, HeatKind, MotionKey, Region};
-use crate::input::Input;
 use crate::object::{Object, Select};
 use crate::presets::material_presets;
 use crate::scene::Scene;
@@ -95,11 +94,12 @@ fn input(scene: &Scene, r: &mut Report) {
     if i.table.is_some() && i.bodies.is_empty() {
         r.say("input.table", "input.table stands under procedural bodies; it needs [[input.body]]");
     }
-    bodies(i, &scene.objects, r);
+    bodies(scene, r);
     direction(i.up.0, "input.up", r);
 }
 
-fn bodies(i: &Input, objects: &[Object], r: &mut Report) {
+fn bodies(scene: &Scene, r: &mut Report) {
+    let i = &scene.input;
     r.inside("input", None, |r| {
         unique(i.bodies.iter().map(|b| b.name.as_str()), "body", r);
         for (k, b) in i.bodies.iter().enumerate() {
@@ -117,7 +117,7 @@ fn bodies(i: &Input, objects: &[Object], r: &mut Report) {
                     _ => {}
                 }
                 motion(&b.motion, r);
-                let simulated = objects.is_empty() || objects.iter().any(|o| o.parts.contains(&b.name));
+                let simulated = scene.simulates(b);
                 if simulated && !b.motion.is_empty() {
                     r.say("motion", "input.body.motion is for scenery, and this body is simulated; list the others in [[object]] parts");
                 }
