@@ -197,14 +197,14 @@ impl Densifier {
         self.find_normals(surface, phase);
         self.has_normals = true;
         let state = &mut self.state.cover;
-        let kept = state.clone();
         // What has grown once goes on after it has frozen.
-        let grown = |i: usize| kept.get(i).is_some_and(|c| c[0] + c[3] + c[5] > 0.0);
+        let grown = |i: usize| state.get(i).is_some_and(|c| c[0] + c[3] + c[5] > 0.0);
         // Neighbours take turns, except where nothing is known yet.
         let turn = self.state.frames as usize;
         let wanted = |i: usize| if grown(i) { (i + turn).is_multiple_of(2) } else { phase.get(i).is_some_and(|p| *p != 0) };
+        let wanted: Vec<bool> = (0..surface.len()).map(wanted).collect();
         let (object, delta) = (&self.anatomy.surface_object, self.anatomy.spacing);
-        cover::measure(surface, &self.normals, object, wanted, delta, state, self.settings.hysteresis);
+        cover::measure(surface, &self.normals, object, |i| wanted[i], delta, state, self.settings.hysteresis);
         cover::grow(surface, &self.normals, state)
     }
 
