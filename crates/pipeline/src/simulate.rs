@@ -20,6 +20,9 @@ const CHECKPOINT_EVERY: u64 = 4;
 /// Largest relative error of the energy audit that passes without a warning (simulation.md §3.7).
 const AUDIT_LIMIT: f64 = 1e-5;
 
+/// What sinks by more cells than this while the bodies settle has fallen or flowed, and the film should show it.
+const FALL_CELLS: f64 = 1.5;
+
 /// Number of simulated frames of a scene; frame 0 is the state at rest.
 pub fn frames(loaded: &LoadedScene) -> u64 {
     loaded.scene.time.frames()
@@ -39,14 +42,8 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     }
     let total = frames(loaded);
     let fail = |e: SimError| failure(e, bodies);
-    let mut solver = Solver::new(config, &bodies.points).map_err(fail)?;
-    let mut moving = false;
-    for (k, o) in crate::body::scene_objects(&loaded.scene).iter().enumerate() {
-        moving |= o.initial_velocity_m_s.is_some();
-        if let Some(v) = o.initial_velocity_m_s {
-            solver.set_object_velocity(k as u16 + 1, v.map(|c| c as f32));
-        }
-    }
+    let cell = config.grid.spacing;
+    let mut solver = Solver::new(config.clone(), &bodies.points).map_err(fail)?;
     stage.begin()?;
     let resumed = if matches!(found, Found::Partial) { resume(&mut solver, &stage.path) } else { None };
     // The slot of the ring to write next: never the one that holds the newest checkpoint.
@@ -55,8 +52,24 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     if resumed.is_some() {
         sink.event(Event::Note(&format!("continuing at frame {} of {total}", solver.frames_done())));
     } else {
-        if !moving {
-            solver.settle(loaded.scene.simulation.settle_s).map_err(fail)?;
+        let objects = crate::body::scene_objects(&loaded.scene);
+        let velocity = |o: &megas_scene::Object| o.initial_velocity_m_s;
+        if objects.iter().all(|o| velocity(o).is_none())
+            && let Some((object, sunk)) = solver.settle(loaded.scene.simulation.settle_s).map_err(fail)?
+            && sunk > FALL_CELLS * cell
+        {
+            // Who drops a thing wants to see it fall: the film starts with the bodies where the scene puts them.
+            solver = Solver::new(config, &bodies.points).map_err(fail)?;
+            let name = bodies.meta.objects.iter().find(|o| o.number == object).map_or("an object", |o| &o.name);
+            sink.event(Event::Note(&format!(
+                "'{name}' would sink {:.0} mm before the film while the bodies settle, so they start unsettled (simulation.settle_s)",
+                sunk * 1e3
+            )));
+        }
+        for (k, o) in objects.iter().enumerate() {
+            if let Some(v) = velocity(o) {
+                solver.set_object_velocity(k as u16 + 1, v.map(|c| c as f32));
+            }
         }
         write_frame(&stage.path, 0, &solver.export(), None)?;
     }

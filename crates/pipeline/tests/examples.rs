@@ -39,3 +39,35 @@ fn every_example_runs_at_toy_size() {
         assert!(figures["energy_residual"].as_f64().unwrap() < 1e-5, "{}: {figures}", path.display());
     }
 }
+
+/// Keeps the notes.
+#[derive(Default)]
+struct Notes(std::sync::Mutex<Vec<String>>);
+
+impl Sink for Notes {
+    fn event(&self, event: Event<'_>) {
+        if let Event::Note(text) = event {
+            self.0.lock().unwrap().push(text.to_owned());
+        }
+    }
+}
+
+#[test]
+fn what_is_dropped_falls_in_the_film_and_not_before_it() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/dropped.toml");
+    let mut loaded = LoadedScene::open(&path).unwrap();
+    loaded.scene.simulation.cells = Some(12);
+    loaded.scene.time.duration_s = 0.1;
+    let notes = |loaded: &LoadedScene| {
+        let out = tempfile::tempdir().unwrap();
+        let options = Options { out: out.path().join("out"), force: false, threads: None };
+        let sink = Notes::default();
+        let figures = megas_pipeline::simulate(loaded, &options, &sink).unwrap();
+        (sink.0.into_inner().unwrap().join("\n"), figures["max_speed_m_s"].as_f64().unwrap())
+    };
+    let (told, speed) = notes(&loaded);
+    assert!(told.contains("'ball' would sink"), "{told}");
+    assert!(speed > 0.3, "free fall for one frame gives 0.4 m/s, this gives {speed}");
+    loaded.scene.simulation.settle_s = 0.0;
+    assert!(!notes(&loaded).0.contains("would sink"));
+}

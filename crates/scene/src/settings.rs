@@ -185,7 +185,7 @@ pub struct Simulation {
     #[schemars(range(min = 0.05, max = 0.7))]
     pub courant: f64,
     /// Time before the film in which solids settle under their weight, strongly damped, in seconds; 0 starts at once. Left out
-    /// where an object has a velocity at the start.
+    /// where an object has a velocity at the start, or would fall or flow meanwhile.
     #[schemars(range(min = 0.0, max = 10.0))]
     pub settle_s: f64,
     /// Longest time between two exchanges of heat, in seconds.

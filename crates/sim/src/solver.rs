@@ -5,6 +5,8 @@ mod failure;
 mod report;
 mod walls;
 
+use std::collections::BTreeMap;
+
 use megas_math::mat3;
 use megas_model::Points;
 use rayon::prelude::*;
@@ -214,13 +216,15 @@ impl Solver {
     }
 
     /// Lets solids find their rest under gravity before time starts: mechanics alone, strongly damped, for `seconds`. Without it
-    /// a film begins with the jolt of a body that feels its own weight at once. Time, heat and totals do not move.
-    pub fn settle(&mut self, seconds: f64) -> Result<(), SimError> {
+    /// a film begins with the jolt of a body that feels its own weight at once. Time, heat and totals do not move. Returns the
+    /// object whose centre sank the most and by how much \[m\]: what sinks by more than a cell or two has fallen, not settled.
+    pub fn settle(&mut self, seconds: f64) -> Result<Option<(u16, f64)>, SimError> {
         /// Drag while settling \[1/s\]: near critical for bodies of some centimetres.
         const DRAG: f64 = 60.0;
         if !self.config.mechanics || seconds <= 0.0 {
-            return Ok(());
+            return Ok(None);
         }
+        let before = self.heights();
         let steps = (seconds / self.config.coupling_step).ceil().max(1.0);
         self.mechanics.settings.drag = DRAG;
         for _ in 0..steps as u64 {
@@ -232,7 +236,18 @@ impl Solver {
             self.particles.set_affine(i, [[0.0; 3]; 3]);
         }
         self.particles.sort();
-        Ok(())
+        let sunk = before.iter().zip(self.heights()).map(|((&o, b), (_, a))| (o, b - a));
+        Ok(sunk.max_by(|a, b| a.1.total_cmp(&b.1)))
+    }
+
+    /// Mean height \[m\] of every object's points.
+    fn heights(&self) -> BTreeMap<u16, f64> {
+        let mut sums = BTreeMap::<u16, (f64, f64)>::new();
+        for i in 0..self.particles.len() {
+            let s = sums.entry(self.particles.object[i]).or_default();
+            *s = (s.0 + self.particles.position(i)[2], s.1 + 1.0);
+        }
+        sums.into_iter().map(|(o, (z, n))| (o, z / n)).collect()
     }
 
     /// Frames done so far.
