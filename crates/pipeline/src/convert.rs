@@ -10,7 +10,7 @@ use megas_scene::{
     ResolvedMaterial, Scene, Severity,
 };
 use megas_sim::air::SimulatedAir;
-use megas_sim::collider::{SCENE_CONTACT_OFFSET, Thermal};
+use megas_sim::collider::{Collider, SCENE_CONTACT_OFFSET, Thermal};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
 use megas_sim::particles::MAX_NODES;
@@ -224,7 +224,21 @@ fn natural_melt_time(config: &SolverConfig, materials: &[ResolvedMaterial], poin
             best = best.min(reached.heat / power * reached.overheating(power, area));
         }
     }
-    Ok(best)
+    Ok(config.colliders.iter().map(|c| conduction_from(c, config.ambient, materials, points)).fold(best, f64::min))
+}
+
+/// Time \[s\] until the heat of an obstacle that holds a temperature has melted what lies on it: conduction through a layer as
+/// thick as twice the mean distance of the points.
+fn conduction_from(collider: &Collider, ambient: f64, materials: &[ResolvedMaterial], points: &Points) -> f64 {
+    let Thermal::Fixed { kelvin, keyframes } = &collider.thermal else { return f64::INFINITY };
+    let hottest = keyframes.iter().map(|k| k[1]).reduce(f64::max).unwrap_or(*kelvin);
+    let Some(pose) = collider.at(0.0) else { return f64::INFINITY };
+    let time = |(k, m): (usize, &ResolvedMaterial)| {
+        let mine = (0..points.len()).filter(|&i| usize::from(points.material[i]) == k);
+        let (sum, n) = mine.fold((0.0, 0.0), |(s, n), i| (s + pose.distance(&collider.shape, points.position[i]).0.max(0.0), n + 1.0));
+        if n > 0.0 { m.melt_time_s(2.0 * sum / n, m.initial_temperature_k(ambient), None, Some(hottest)) } else { f64::INFINITY }
+    };
+    materials.iter().enumerate().map(time).fold(f64::INFINITY, f64::min)
 }
 
 /// Every body, without an effect.
