@@ -121,6 +121,39 @@ pub enum Study {
     #[command(after_help = "Examples:\n  megas eval claims ice/ --models study -o claims\n  \
                             megas eval claims ice/ --methods B0,B5,B6 --profile tiny --quick -o claims")]
     Claims(Box<ClaimsArgs>),
+    /// Vary a scene and show the variants beside each other, as a film and as a sheet of stills.
+    #[command(after_help = figures_help())]
+    Figure(FigureArgs),
+}
+
+/// Arguments of `eval figure`.
+#[derive(Args, Clone, Debug)]
+pub struct FigureArgs {
+    /// Name of a figure that comes with the program (below), or a file of variants.
+    pub figure: String,
+    /// The scene that is varied [default: the embedded ice cream].
+    pub scene: Option<PathBuf>,
+    /// Smaller and shorter pictures of the embedded ice cream.
+    #[arg(long, conflicts_with = "scene")]
+    pub quick: bool,
+    /// Folder of the results [default: megas-out/figure-NAME]. What fits is continued.
+    #[arg(short, long = "output", value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace results of other settings.
+    #[arg(long)]
+    pub force: bool,
+}
+
+fn figures_help() -> String {
+    let names: String = megas_pipeline::FIGURES.iter().map(|f| format!("  {:<11} {}\n", f.name, f.about)).collect();
+    format!(
+        "Figures:\n{names}\nA file of one's own holds a title and variants, each a list of changes to the scene:\n  [[variant]]\n  \
+         label = \"thick\"\n  set.skin = {{ densify = false }}           keys of the scene file\n  \
+         objects = {{ material = \"butter\" }}         keys of every object\n  \
+         materials = {{ melt_consistency_pa_sn = 5.0 }}   keys of the material of every object\n\n\
+         Examples:\n  megas eval figure topology\n  megas eval figure heat donut.toml -o heat\n  megas eval figure mine.toml donut.toml\n\n\
+         DIR/figure.mp4, DIR/figure.png, and DIR/figure.json with the temporal unrest of every variant (mean second difference)."
+    )
 }
 
 /// Arguments of `validate`.
@@ -236,6 +269,7 @@ impl Command {
             Self::Finetune(_) => "finetune",
             Self::Eval(Study::Reconstruct(_)) => "eval reconstruct",
             Self::Eval(Study::Claims(_)) => "eval claims",
+            Self::Eval(Study::Figure(_)) => "eval figure",
             Self::Run(_) => "run",
             Self::Fill(_) => "fill",
             Self::Simulate(_) => "simulate",

@@ -8,6 +8,7 @@ mod summary;
 mod train_args;
 mod validate;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -125,6 +126,18 @@ fn execute(cli: &Cli) -> Result<Answer, Failure> {
         Command::Eval(args::Study::Claims(a)) => {
             console::stop_on_ctrl_c();
             megas_pipeline::claims(&a.job(global.threads), &Console::new(global)).map(Answer::Figures)
+        }
+        Command::Eval(args::Study::Figure(a)) => {
+            let scene = match &a.scene {
+                Some(file) => LoadedScene::open(file)?,
+                None => megas_pipeline::demo_scene(a.quick)?,
+            };
+            let stem = Path::new(&a.figure).file_stem().unwrap_or("figure".as_ref()).to_string_lossy();
+            let out = a.out.clone().unwrap_or_else(|| Path::new("megas-out").join(format!("figure-{stem}")));
+            let options = Options { out, force: a.force, threads: global.threads.map(usize::from) };
+            console::stop_on_ctrl_c();
+            let job = megas_pipeline::FigureJob { figure: a.figure.clone(), scene, options };
+            megas_pipeline::figure(&job, &Console::new(global)).map(Answer::Figures)
         }
         Command::Run(a) => on_file(a, global, megas_pipeline::run),
         Command::Fill(a) => on_file(a, global, megas_pipeline::fill),

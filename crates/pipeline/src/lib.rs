@@ -11,7 +11,9 @@ mod colliders;
 mod convert;
 mod demo;
 mod disk;
+mod figure;
 mod inspect;
+mod mesh_splats;
 mod meshes;
 mod plan;
 mod reconstruct;
@@ -33,6 +35,7 @@ use megas_scene::Scene;
 
 pub use claims::{ClaimsJob, Contender, Scope, claims};
 pub use demo::{DEMO_SCENE, demo, demo_scene};
+pub use figure::{FIGURES, FigureJob, figure};
 pub use inspect::inspect;
 pub use megas_capture::Downscale;
 pub use megas_metrics::deform::Carry;

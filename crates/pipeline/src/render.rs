@@ -7,7 +7,7 @@ use megas_film::{Appearance, CameraPath, Captions, Mp4Writer, PlySequence, Therm
 use megas_formats::WriteOptions;
 use megas_model::{Camera, Image};
 use megas_raster::{Channels, ClipPlane, Frame, Gaussians, Rasterizer, Settings};
-use megas_scene::{CELSIUS_K, Film, Scene};
+use megas_scene::{CELSIUS_K, Draw, Film, Scene};
 use megas_skin::bake_splats;
 use serde_json::{Value, json};
 
@@ -19,8 +19,8 @@ use crate::scenery::Scenery;
 use crate::simulate::read_frame;
 use crate::skin::{Dresser, forget};
 use crate::stage::StageDir;
-use crate::surface_meshes::SurfaceMeshes;
-use crate::{Event, Failure, LoadedScene, Options, Sink};
+use crate::surface_meshes::{SurfaceMeshes, whole_mesh};
+use crate::{Event, Failure, LoadedScene, Options, Sink, mesh_splats};
 
 /// Frames looked at for the range of the false colours.
 const RANGE_SAMPLES: u64 = 12;
@@ -74,7 +74,7 @@ pub fn render(
     let start = Instant::now();
     let mut rasterizer = Rasterizer::new();
     let mut frame = Frame::default();
-    let mut posed = Gaussians::default();
+    let mut posed = Gaussians::new(bodies.surface.sh_degree);
     let splats = sequence(scene, &options.out)?;
     let mut meshes = SurfaceMeshes::create(scene, bodies, &options.out)?;
     let wants_ply = |k: u64| {
@@ -85,7 +85,10 @@ pub fn render(
     let first =
         (0..total).find(|&k| !studio.missing(&stage.path, k).is_empty() || wants_ply(k).is_some() || mesh(k, &meshes)).unwrap_or(total);
     studio.skin.resume(&stage.path, first);
-    let begin = if first == total { total } else { studio.skin.next() };
+    let begin = match first {
+        k if k == total || scene.skin.draw != Draw::Splats => first,
+        _ => studio.skin.next(),
+    };
     for k in begin..total {
         if sink.cancelled() {
             return Err(Failure::Interrupted(format!("stopped at picture {k} of {total}; run the same command again to continue")));
@@ -98,8 +101,19 @@ pub fn render(
         let ply = wants_ply(k);
         let viewers: Vec<Camera> = (0..studio.paths.len()).map(|c| studio.view(c, k)).collect();
         let drawn = !wanted.is_empty() || ply.is_some();
-        studio.skin.frame(&points, &viewers, drawn, &mut posed);
-        studio.skin.keep(&stage.path)?;
+        let mesh_only = match scene.skin.draw {
+            Draw::Splats => None,
+            Draw::Mesh => Some(true),
+            Draw::ParticleMesh => Some(false),
+        };
+        match mesh_only {
+            None => {
+                studio.skin.frame(&points, &viewers, drawn, &mut posed);
+                studio.skin.keep(&stage.path)?;
+            }
+            Some(skin) if drawn => mesh_splats::assign(&mut posed, &whole_mesh(bodies, &points, skin)),
+            Some(_) => {}
+        }
         if !drawn {
             sink.event(Event::Step { done: k + 1 });
             continue;
@@ -110,7 +124,8 @@ pub fn render(
             baked.append(&scenery.splats);
             sequence.write(k as u32, &baked).map_err(|e| Failure::Input(e.to_string()))?;
         }
-        let liquid = &studio.skin.liquid(&points, posed.len());
+        // Meshes do not know which of their points is molten: they stay dry.
+        let liquid = &if mesh_only.is_none() { studio.skin.liquid(&points, posed.len()) } else { vec![0.0; posed.len()] };
         posed.extend_from(&scenery.gaussians);
         studio.appearance.apply(&mut posed, liquid);
         let matt = if studio.appearance.wet > 0.0 { posed.sh.clone() } else { Vec::new() };
@@ -162,7 +177,7 @@ pub fn render(
 /// Kinds of pictures on disk.
 const KINDS: [&str; 2] = ["rgb", "thermal"];
 
-fn picture_path(folder: &Path, camera: &str, kind: &str, k: u64) -> PathBuf {
+pub(crate) fn picture_path(folder: &Path, camera: &str, kind: &str, k: u64) -> PathBuf {
     let stem = if camera == "main" { kind.to_owned() } else { format!("{camera}_{kind}") };
     frame_path(folder, &stem, k as usize, "png")
 }
@@ -330,7 +345,7 @@ fn films(studio: &Studio<'_>, folder: &Path, options: &Options, total: u64, sink
     Ok(paths)
 }
 
-fn read_png(path: &Path) -> Result<Image, Failure> {
+pub(crate) fn read_png(path: &Path) -> Result<Image, Failure> {
     let image = image::open(path).map_err(|e| Failure::Input(format!("{}: {e}; delete it to render it again", path.display())))?.to_rgb8();
     let (width, height) = image.dimensions();
     Ok(Image { width, height, channels: 3, data: image.into_raw().iter().map(|v| f32::from(*v) / 255.0).collect() })

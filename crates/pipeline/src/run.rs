@@ -32,6 +32,13 @@ pub fn render(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result
     })
 }
 
+/// As [`render`], with body and simulation in the folder of `base`, which several renderings may share.
+pub(crate) fn render_from(scene: &LoadedScene, base: &Options, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
+    let Filled { bodies, key, .. } = bodies(scene, base, sink)?;
+    let (_, path, key) = simulation(scene, &bodies, &key, base, sink)?;
+    pictures(scene, &bodies, &path, &key, options, sink)
+}
+
 /// The whole job, from the input to the films.
 pub fn run(scene: &LoadedScene, options: &Options, sink: &dyn Sink) -> Result<Value, Failure> {
     let start = Instant::now();

@@ -43,13 +43,11 @@ impl SurfaceMeshes {
             return Ok(None);
         }
         let m = &bodies.meta;
-        let unit = m.similarity.metres_per_unit;
         let formats: Vec<MeshFormat> = o.mesh.iter().map(|k| format_of(*k)).collect();
         let up = vec3::cast::<f64, f32>(m.similarity.direction_to_scene([0.0, 0.0, 1.0]));
         let folder = out.join("meshes");
         let sequence = MeshSequence::create(&folder, &formats, up).map_err(|e| Failure::Input(e.to_string()))?;
-        let size: [f64; 3] = std::array::from_fn(|a| m.box_max[a] - m.box_min[a]);
-        let mut settings = MeshSettings::new(0.5 * m.dx_m / unit, vec3::norm(size) / unit);
+        let mut settings = mesh_settings(bodies);
         settings.voxel = (settings.voxel * o.mesh_voxel).min(2.0 * settings.spacing);
         let table = folder.join("measures.csv");
         let measures = read_table(&table);
@@ -67,7 +65,7 @@ impl SurfaceMeshes {
         let unit = bodies.meta.similarity.metres_per_unit;
         let mut measure = Measure { volume_m3: 0.0, area_m2: 0.0, triangles: 0 };
         for o in &bodies.meta.objects {
-            let mesh = object_mesh(bodies, frame, o.number, &self.settings);
+            let mesh = object_mesh(bodies, frame, o.number, &self.settings, true);
             let s = Surface::of(&mesh);
             measure.volume_m3 += s.volume * unit.powi(3);
             measure.area_m2 += s.area * unit.powi(2);
@@ -131,27 +129,45 @@ fn append(whole: &mut Mesh, part: Mesh) {
     whole.triangles.extend(part.triangles.iter().map(|t| t.map(|i| i + base)));
 }
 
-/// The mesh of one object: its particles close it, the oriented skin shapes it where it is dense enough.
-pub fn object_mesh(bodies: &Bodies, frame: &PointFrame, number: u16, settings: &MeshSettings) -> Mesh {
+/// Voxels of films' meshes.
+fn mesh_settings(bodies: &Bodies) -> MeshSettings {
+    let m = &bodies.meta;
+    let unit = m.similarity.metres_per_unit;
+    let size: [f64; 3] = std::array::from_fn(|a| m.box_max[a] - m.box_min[a]);
+    MeshSettings::new(0.5 * m.dx_m / unit, vec3::norm(size) / unit)
+}
+
+/// The meshes of all objects in one, for pictures. Without `skin` they are those of the particles alone.
+pub fn whole_mesh(bodies: &Bodies, frame: &PointFrame, skin: bool) -> Mesh {
+    let settings = mesh_settings(bodies);
+    let mut whole = Mesh::default();
+    for o in &bodies.meta.objects {
+        append(&mut whole, object_mesh(bodies, frame, o.number, &settings, skin));
+    }
+    whole
+}
+
+/// The mesh of one object: its particles close it, and with `skin` the oriented splats shape it where they are dense enough.
+fn object_mesh(bodies: &Bodies, frame: &PointFrame, number: u16, settings: &MeshSettings, skin: bool) -> Mesh {
     let n = bodies.surface.len();
     let similarity = &bodies.meta.similarity;
     let mine = |i: &usize| bodies.points.object[*i] == number && frame.flags[*i] & FLAG_ESCAPED == 0;
     let place = |i: usize| vec3::cast::<f64, f32>(similarity.to_scene(frame.position[i].map(f64::from)));
-    let skin: Vec<usize> = (0..n).filter(mine).collect();
+    let outer: Vec<usize> = (0..n).filter(mine).collect();
     let core: Vec<usize> = (n..frame.position.len()).filter(mine).collect();
-    let skin_at: Vec<[f32; 3]> = skin.iter().map(|i| place(*i)).collect();
+    let skin_at: Vec<[f32; 3]> = outer.iter().map(|i| place(*i)).collect();
     let core_at: Vec<[f32; 3]> = core.iter().map(|i| place(*i)).collect();
-    let normal = skin.iter().map(|i| vec3::cast(similarity.direction_to_scene(frame.normal[*i].map(f64::from)))).collect();
+    let normal = outer.iter().map(|i| vec3::cast(similarity.direction_to_scene(frame.normal[*i].map(f64::from)))).collect();
     let samples = Samples { position: skin_at.clone(), normal, weight: Vec::new() };
-    let imls = Imls::new(&samples, &ImlsSettings::default());
+    let imls = if skin { Imls::new(&samples, &ImlsSettings::default()) } else { None };
     let mut mesh = body_mesh(&core_at, imls.as_ref(), settings);
     let spacing = settings.spacing as f32;
     let rgb = |i: &usize| [0, 1, 2].map(|k| sh::rgb_from_dc(bodies.surface.sh_of(*i)[k]).clamp(0.0, 1.0));
-    let skin_rgb: Vec<[f32; 3]> = skin.iter().map(rgb).collect();
+    let skin_rgb: Vec<[f32; 3]> = outer.iter().map(rgb).collect();
     let core_rgb: Vec<[f32; 3]> = core.iter().map(|i| bodies.internal_rgb[*i - n]).collect();
     colour(&mut mesh, Carriers { position: &skin_at, value: &skin_rgb }, Carriers { position: &core_at, value: &core_rgb }, spacing);
     let all: Vec<[f32; 3]> = core_at.iter().chain(&skin_at).copied().collect();
-    let kelvin: Vec<f32> = core.iter().chain(&skin).map(|i| frame.temperature[*i]).collect();
+    let kelvin: Vec<f32> = core.iter().chain(&outer).map(|i| frame.temperature[*i]).collect();
     temperature(&mut mesh, Carriers { position: &all, value: &kelvin }, spacing);
     mesh
 }

@@ -45,7 +45,7 @@ pub use scene::{Clock, Scene};
 pub use schema::json_schema;
 pub use settings::{Air, AirMode, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Quality, Simulation, Time};
 pub use shape::{BoxShape, Frame, HalfSpace, HeightShape, MeshShape, Placement, Plane, Sphere, Tube};
-pub use skin::{CrackKernel, KernelRadius, Push, Skin, SurfaceNormals, SurfaceRule};
+pub use skin::{CrackKernel, Draw, KernelRadius, Push, Skin, SurfaceNormals, SurfaceRule};
 pub use still::{BodyForm, InputBody, Pattern, Table};
 pub use value::{Auto, Colour, Up};
 

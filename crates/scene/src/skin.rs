@@ -58,10 +58,25 @@ pub enum SurfaceNormals {
     TransportPca,
 }
 
+/// What the pictures show of the objects.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Draw {
+    /// The splats and the kernels that seal them.
+    #[default]
+    Splats,
+    /// The closed mesh of every frame, shaped by the oriented skin.
+    Mesh,
+    /// The mesh around the particles alone, as density-based methods make it, for comparison.
+    ParticleMesh,
+}
+
 /// How splats follow the points. Keys that are left out follow `preset`: with "paper" everything is as the paper writes it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Skin {
+    /// What the pictures show of the objects: "splats", or the surface made anew in every frame as "mesh" or "particle_mesh".
+    pub draw: Draw,
     /// What deforms the splats: "elastic", "total" or "rotation".
     pub push: Push,
     /// Seal cracks: points of the inside that come to light become part of the surface.
@@ -112,6 +127,7 @@ pub struct Skin {
 impl Default for Skin {
     fn default() -> Self {
         Self {
+            draw: Draw::Splats,
             push: Push::Elastic,
             densify: true,
             needle_clamp: None,

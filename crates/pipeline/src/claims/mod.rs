@@ -26,6 +26,7 @@ use crate::study::{Asset, Check, Row, StudyJob};
 use crate::{Event, Failure, Sink};
 
 pub use methods::Contender;
+pub(crate) use sheet::captioned;
 use table::Results;
 use truth::Truth;
 

@@ -17,7 +17,8 @@ fn read(path: &Path) -> Option<Image> {
     Some(Image { width: rgb.width(), height: rgb.height(), channels: 3, data })
 }
 
-fn captioned(image: &Image, text: &str) -> Result<Image, Failure> {
+/// The picture with a caption in its corner.
+pub fn captioned(image: &Image, text: &str) -> Result<Image, Failure> {
     let captions = Captions { left: text, right: "", time: None };
     side_by_side(image, &Image::new(0, image.height, 3), &captions).map_err(|e| Failure::Other(e.to_string()))
 }
