@@ -6,7 +6,7 @@ use megas_model::Mesh;
 use megas_raster::{Gaussians, pack_covariance};
 
 /// Covariance of a drawn triangle over that of its uniform interior: wide enough that neighbours overlap without seams.
-const SPREAD: f32 = 2.0;
+const SPREAD: f32 = 5.0;
 /// Standard deviation across the surface over that along it.
 const FLATNESS: f32 = 0.1;
 /// Opacity at the middle of a triangle.

@@ -52,6 +52,9 @@ const SHORTEST: f32 = 0.05;
 /// Farthest that the Newton step moves a vertex \[voxels\].
 const STEP: f32 = 0.5;
 
+/// Beyond so many spacings of the particles (or twice as many of the samples) from the nearest sample the skin says nothing.
+const SKIN_REACH: f32 = 1.5;
+
 /// The skin is asked where the particles' field is within so many spacings of zero.
 const SKIN_BAND: f32 = 2.5;
 
@@ -101,15 +104,16 @@ pub fn body_mesh(points: &[[f32; 3]], skin: Option<&Imls>, settings: &MeshSettin
     let spacing = (settings.spacing / voxel) as f32;
     let cells = Cells::new(&local, 2.0 * spacing);
     let field = CentreDistance::new(spacing, settings.offset);
+    let skin = skin.map(|imls| Skin { imls, reach: SKIN_REACH * (settings.spacing as f32).max(2.0 * imls.spacing()) });
     let volume = Volume::new(&cells, |node, wanted, out| {
         field.at_nodes(&cells, node, wanted, out);
-        if let Some(skin) = skin {
+        if let Some(skin) = &skin {
             blend_nodes(skin, &frame, node, wanted, SKIN_BAND * spacing, out);
         }
     });
     let mut net = nets::surface_net(&volume, &cells, |x| {
         let inner = field.at(&cells, x);
-        let outer = skin.map(|s| s.evaluate(frame.to_scene(x)));
+        let outer = skin.as_ref().map(|s| s.at(frame.to_scene(x)));
         newton(x, blended(outer, inner, voxel as f32))
     });
     drop(volume);
@@ -122,19 +126,35 @@ pub fn body_mesh(points: &[[f32; 3]], skin: Option<&Imls>, settings: &MeshSettin
     Mesh { positions, normals, triangles: net.triangles, ..Mesh::default() }
 }
 
-/// Share β of the skin's field at a place; 0 where it is not defined. Sideways from the nearest sample counts: inside a skin that
-/// is less than half a bandwidth, beyond its border the field continues it as a plane, and the design's fade (over one voxel at a
-/// distance of 1.5h) lets such planes stick out.
-fn share(f: &FieldValue) -> f32 {
-    if !f.is_valid() || f.nearest >= 1.5 * f.bandwidth {
-        return 0.0;
+/// The implicit surface of the skin, and how far from its samples it is believed \[scene units\].
+struct Skin<'a> {
+    imls: &'a Imls,
+    reach: f32,
+}
+
+impl Skin<'_> {
+    /// The field at a place with its share.
+    fn at(&self, x: [f32; 3]) -> (FieldValue, f32) {
+        let f = self.imls.evaluate(x);
+        (f, self.share(&f))
     }
-    let sideways = (f.nearest * f.nearest - f.value * f.value).max(0.0).sqrt();
-    ((1.2 - sideways / f.bandwidth) / 0.5).clamp(0.0, 1.0)
+
+    /// Share β of the skin's field at a place; 0 where it is not defined. Sideways from the nearest sample counts: inside a skin that
+    /// is less than half a bandwidth, beyond its border the field continues it as a plane, and the design's fade (over one voxel at a
+    /// distance of 1.5h) lets such planes stick out. Bandwidths grow with the distance, so the distance itself is limited too:
+    /// below an object whose underside nobody saw, everything would be inside.
+    fn share(&self, f: &FieldValue) -> f32 {
+        if !f.is_valid() || f.nearest >= 1.5 * f.bandwidth {
+            return 0.0;
+        }
+        let sideways = (f.nearest * f.nearest - f.value * f.value).max(0.0).sqrt();
+        let near = ((self.reach - f.nearest) / (0.3 * self.reach)).clamp(0.0, 1.0);
+        near * ((1.2 - sideways / f.bandwidth) / 0.5).clamp(0.0, 1.0)
+    }
 }
 
 /// Blends the skin's field into the values of a block, at the wanted nodes closer than `band` \[voxels\] to the zero set.
-fn blend_nodes(skin: &Imls, frame: &Frame, node: [i32; 3], wanted: &[u8; 64], band: f32, out: &mut [[f32; 8]; 64]) {
+fn blend_nodes(skin: &Skin<'_>, frame: &Frame, node: [i32; 3], wanted: &[u8; 64], band: f32, out: &mut [[f32; 8]; 64]) {
     let mut places = Vec::new();
     let mut points = Vec::new();
     for row in 0..64 {
@@ -146,19 +166,18 @@ fn blend_nodes(skin: &Imls, frame: &Frame, node: [i32; 3], wanted: &[u8; 64], ba
         }
     }
     let voxel = frame.voxel as f32;
-    for ((row, x), f) in places.into_iter().zip(skin.evaluate_all(&points)) {
-        let beta = share(&f);
+    for ((row, x), f) in places.into_iter().zip(skin.imls.evaluate_all(&points)) {
+        let beta = skin.share(&f);
         let g = &mut out[row][x];
         *g += beta * (f.value / voxel - *g);
     }
 }
 
 /// Value and gradient of the blended field \[voxels\]; the slope of β itself is left out.
-fn blended(outer: Option<FieldValue>, inner: Option<(f32, [f32; 3])>, voxel: f32) -> Option<(f32, [f32; 3])> {
-    let beta = outer.map_or(0.0, |f| share(&f));
+fn blended(outer: Option<(FieldValue, f32)>, inner: Option<(f32, [f32; 3])>, voxel: f32) -> Option<(f32, [f32; 3])> {
     match (outer, inner) {
-        (Some(f), _) if beta >= 1.0 => Some((f.value / voxel, f.gradient)),
-        (Some(f), Some((g, slope))) if beta > 0.0 => {
+        (Some((f, beta)), _) if beta >= 1.0 => Some((f.value / voxel, f.gradient)),
+        (Some((f, beta)), Some((g, slope))) if beta > 0.0 => {
             Some((g + beta * (f.value / voxel - g), megas_math::vec3::lerp(slope, f.gradient, beta)))
         }
         _ => inner,
