@@ -278,3 +278,25 @@ fn vertices_carry_colours_and_temperatures_of_their_surroundings() {
         assert!((1.0..4.0).contains(&p[2]) || (0..3).all(|k| (c[k] - expected[k]).abs() < 1e-3), "{p:?} {c:?}");
     }
 }
+
+/// A scoop whose underside nobody saw: far below the rim of its skin every place would be inside.
+#[test]
+fn a_skin_without_an_underside_makes_no_bulges_there() {
+    let core = fill(13.0, 0.25, 5, |p| ball(p) && p[2] > 0.0);
+    let mut samples = Samples::default();
+    for k in 0..6000 {
+        // A spiral over the ball, of which the part above z = 2.5 was seen.
+        let z = 1.0 - (f64::from(k) + 0.5) / 3000.0;
+        let (r, a) = ((1.0 - z * z).sqrt(), f64::from(k) * 2.399_963);
+        let n = [r * a.cos(), r * a.sin(), z];
+        if 12.0 * z > 2.5 {
+            samples.position.push(n.map(|v| (12.0 * v) as f32));
+            samples.normal.push(n.map(|v| v as f32));
+        }
+    }
+    let imls = Imls::new(&samples, &crate::imls::ImlsSettings::default());
+    let mesh = body_mesh(&core, imls.as_ref(), &MeshSettings::new(1.0, 24.0));
+    let lowest = mesh.positions.iter().map(|p| p[2]).fold(f32::INFINITY, f32::min);
+    assert!(lowest > -0.4, "{lowest}");
+    assert!(Topology::of(&mesh).watertight());
+}
