@@ -2,6 +2,7 @@
 
 mod cloud;
 mod fronts;
+mod melting_time;
 mod spheres;
 mod surfaces;
 
@@ -74,6 +75,10 @@ pub const CASES: &[Case] = &[
         .proves("direction of the surface, visibility, and the power of suns and torches")
         .setup("balls of 12 cells radius made of jittered points, absorptivity 0.8, one of them in the shadow of the other")
         .formula("0.8 I π R²; a torch: 0.8 P times the share of its cone that the ball fills"),
+    Case::new("V42", "melting times of balls of two sizes", Tier::B, melting_time::scaling)
+        .proves("that latent heat, area and film together give the melting time, and how it grows with size")
+        .setup("balls of 6 and 12 cells per radius (1 mm) at their melting point in air 20 K warmer, good conductors (Bi ≤ 0.012)")
+        .formula("t = ρLR/(3h_{f}ΔT) while the melt stays; ratios 2, 4 and 2^{5/4} for h_{f} constant, ∝ 1/D and ∝ D^{−1/4}"),
 ];
 
 /// Σ m h on the way to the nodes, through conduction and a source, and back.

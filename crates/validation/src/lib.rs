@@ -13,6 +13,7 @@ pub mod melting;
 pub mod outcome;
 pub mod page;
 pub mod robustness;
+pub mod rotation;
 pub mod run;
 pub mod slumps;
 pub mod splats;
@@ -94,6 +95,7 @@ pub fn cases() -> Vec<Case> {
         air::CASES,
         heat::CASES,
         mechanics::CASES,
+        rotation::CASES,
         elastic::CASES,
         flows::CASES,
         slumps::CASES,
