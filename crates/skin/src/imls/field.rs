@@ -151,19 +151,27 @@ impl Imls {
 
     pub(super) fn evaluate_with(&self, scratch: &mut Scratch, x: Vec3<f32>) -> FieldValue {
         scratch.radius = -1.0;
-        self.at(scratch, x, 0.0)
+        self.at(scratch, x, 0.0, f32::INFINITY)
+    }
+
+    /// The field at `points` in their order, where the nearest sample is within `reach`; elsewhere undefined (`weight` 0). Much faster than
+    /// one by one where neighbours in the list lie within `margin` of each other, as the nodes of a grid do: they share their
+    /// samples. The list alone decides how sums are rounded.
+    pub(crate) fn evaluate_near(&self, points: &[Vec3<f32>], reach: f32, margin: f32) -> Vec<FieldValue> {
+        let mut scratch = Scratch { radius: -1.0, ..Scratch::default() };
+        points.iter().map(|&x| self.at(&mut scratch, x, margin, reach)).collect()
     }
 
     /// The field at `x`; what `scratch` holds is used again where it covers the ball. `margin` is gathered on top for the steps
-    /// that follow.
-    fn at(&self, scratch: &mut Scratch, x: Vec3<f32>, margin: f32) -> FieldValue {
+    /// that follow. Undefined where the nearest sample is farther than `reach`.
+    fn at(&self, scratch: &mut Scratch, x: Vec3<f32>, margin: f32, reach: f32) -> FieldValue {
         let s = &self.settings;
         // Bandwidth h_k of stage k is certain where the twelfth neighbour is within h_k/factor.
         let mut h = s.least * self.spacing;
         let most = (s.most * self.spacing).max(h);
         loop {
             let c = h / s.factor;
-            let need = (3.0 * h).max(c);
+            let need = (3.0 * h).max(c).max(if reach.is_finite() { reach } else { 0.0 });
             let moved = vec3::norm(vec3::sub(x, scratch.base));
             if !(scratch.radius >= 0.0 && moved + need <= scratch.radius) {
                 let wide = need > 3.01 * 4.0 * s.least * self.spacing;
@@ -172,6 +180,9 @@ impl Imls {
             let shift = vec3::sub(x, scratch.base);
             let (least, count) = dispatch!(self.level, simd => scratch.measure(simd, shift, c * c));
             let nearest = if least < 0.5 * FAR { least.sqrt() } else { f32::INFINITY };
+            if nearest > reach && need >= reach {
+                return FieldValue { value: 0.0, gradient: [0.0; 3], weight: 0.0, bandwidth: h, nearest };
+            }
             if count < s.neighbour && h < most {
                 h = (2.0 * h).min(most);
                 continue;
@@ -208,7 +219,7 @@ impl Imls {
         scratch.radius = -1.0;
         let mut x = start;
         for steps in 0..=MOST_STEPS {
-            let v = self.at(scratch, x, self.spacing);
+            let v = self.at(scratch, x, self.spacing, f32::INFINITY);
             if !v.is_valid() {
                 return None;
             }
