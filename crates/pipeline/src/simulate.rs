@@ -124,6 +124,7 @@ fn figures(totals: &Totals, frames: u64, bodies: &Bodies, acceleration: f64) -> 
         "energy_audit": totals.audit,
         "volume_change": totals.volume_change,
         "repairs": repaired(&totals.repairs),
+        "repairs_by_kind": totals.repairs,
         "rollbacks": totals.rollbacks,
         "temperatures_put_right": totals.temperatures,
         "points_out_of_density_range": totals.strayed,
@@ -142,7 +143,16 @@ fn warn_about(report: &FrameReport, points: usize, sink: &dyn Sink) {
     }
     let repairs = repaired(&report.repairs);
     if repairs > 0 {
-        sink.event(Event::Warning(&format!("frame {}: {repairs} points were repaired ({:?})", report.frame, report.repairs)));
+        let r = &report.repairs;
+        let kinds = [
+            (r.projected, "pushed out of obstacles"),
+            (r.degenerate, "freed of an impossible shape"),
+            (r.capped, "slowed to half a cell per step"),
+            (r.out_of_box, "held at the edge of the box"),
+            (r.non_finite, "freed of a velocity that was no number"),
+        ];
+        let told: Vec<String> = kinds.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
+        sink.event(Event::Warning(&format!("frame {}: points repaired: {}", report.frame, told.join(", "))));
     }
     if report.repairs.degenerate * 1000 > points as u64 {
         sink.event(Event::Warning(&format!(
