@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use megas_sim::air::{LAMBDA_AIR, LAMBDA_FLOW, Lattice, LatticeSettings};
+use megas_sim::air::{LAMBDA_AIR, LAMBDA_FLOW, Lattice, LatticeSettings, Storage};
 
 use crate::timing;
 
@@ -15,6 +15,9 @@ pub struct Args {
     /// Collision operator: trt, or bgk as the peers have it
     #[arg(long, value_enum, default_value = "trt")]
     operator: Operator,
+    /// Number format of the stored populations
+    #[arg(long, value_enum, default_value = "f32")]
+    storage: Format,
     /// Threads
     #[arg(long, default_value_t = 1)]
     threads: usize,
@@ -24,6 +27,12 @@ pub struct Args {
 enum Operator {
     Trt,
     Bgk,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
+enum Format {
+    F32,
+    F16,
 }
 
 const SPEED: f64 = 0.05;
@@ -50,6 +59,7 @@ fn measure(args: &Args, heat: bool, scene: &str) -> String {
         lambda_flow: trt.then_some(LAMBDA_FLOW),
         lambda_heat: trt.then_some(LAMBDA_AIR),
         buoyancy: [0.0, 0.0, if heat { 0.0005 } else { 0.0 }],
+        storage: if args.storage == Format::F16 { Storage::F16 } else { Storage::F32 },
         ..LatticeSettings::new([n; 3], (TAU_FLOW - 0.5) / 3.0, 0.02)
     });
     let k = TAU / n as f64;
@@ -81,7 +91,8 @@ fn measure(args: &Args, heat: bool, scene: &str) -> String {
     let cpu = timing::median(&times.iter().map(|t| t.1).collect::<Vec<_>>());
     let updates = nodes * STEPS as f64 / 1e6;
     let mut out = serde_json::json!({
-        "scene": scene, "n": n, "operator": format!("{:?}", args.operator).to_lowercase(), "threads": args.threads,
+        "scene": scene, "n": n, "operator": format!("{:?}", args.operator).to_lowercase(),
+        "storage": format!("{:?}", args.storage).to_lowercase(), "threads": args.threads,
         "reps": REPETITIONS, "median_wall_s": wall, "median_cpu_s": cpu, "median_MLUPs": updates / wall,
         "median_MLUP_per_core_s": updates / cpu, "mean_rho": rho / nodes, "ux_rms": (ux2 / nodes).sqrt(),
         "steps": WARM_UP + REPETITIONS * STEPS, "simd": lattice.simd(), "load": timing::load(), "version": env!("CARGO_PKG_VERSION"),

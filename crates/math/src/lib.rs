@@ -5,6 +5,7 @@
 //! (`m[row][column]`). Everything here is generic over `f32` and `f64` so that tests can run in double precision.
 
 pub mod bspline;
+pub mod half;
 pub mod mat3;
 pub mod quat;
 pub mod rng;

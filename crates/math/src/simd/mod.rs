@@ -6,6 +6,7 @@
 //! does not depend on how values are grouped.
 
 pub mod elementary;
+pub mod half;
 pub mod symmetric;
 pub mod transpose;
 

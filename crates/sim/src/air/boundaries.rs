@@ -3,6 +3,7 @@
 //! A link names the slot that wants a value and the slot the value comes from, for odd and even steps. Sources are never
 //! wanted in the same step, so the order of the links does not matter.
 
+use crate::air::population::Format;
 use crate::air::settings::{Face, FlowFace, HeatFace};
 use crate::air::storage::Layout;
 use crate::air::velocity_sets::{C, Q7, Q19, W7, W19, direction, opposite};
@@ -168,45 +169,50 @@ impl Links {
     }
 
     /// Copies and affine links; returns the sum of what the affine ones added.
-    pub(crate) fn close(&self, odd: bool, slots: &mut [f32]) -> f64 {
+    pub(crate) fn close<T: Format>(&self, odd: bool, slots: &mut [T]) -> f64 {
         let p = usize::from(odd);
         for (to, from) in &self.copies {
             slots[to[p] as usize] = slots[from[p] as usize];
         }
         let mut gained = 0.0;
         for l in &self.affine {
-            let old = slots[l.from[p] as usize];
-            let new = l.factor * old + l.add;
-            slots[l.to[p] as usize] = new;
-            gained += f64::from(new - old);
+            let old = slots[l.from[p] as usize].get();
+            gained += place(slots, l.to[p], l.factor * old + l.add, old);
         }
         gained
     }
 
     /// Open faces of the flow: density 1 outside, velocity of the boundary node in the step before.
-    pub(crate) fn open_flow(&self, odd: bool, slots: &mut [f32], u: &[Vec<f32>; 3]) {
+    pub(crate) fn open_flow<T: Format>(&self, odd: bool, slots: &mut [T], u: &[Vec<f32>; 3]) {
         let p = usize::from(odd);
         for l in &self.open {
             let k = l.direction as usize;
             let v: [f32; 3] = std::array::from_fn(|a| u[a][l.node as usize]);
-            slots[l.to[p] as usize] = open_flow(k, slots[l.from[p] as usize], v);
+            slots[l.to[p] as usize] = T::put(open_flow(k, slots[l.from[p] as usize].get(), v));
         }
     }
 
     /// Open faces of the temperature; returns the heat that came in.
-    pub(crate) fn open_heat(&self, odd: bool, slots: &mut [f32], u: &[Vec<f32>; 3]) -> f64 {
+    pub(crate) fn open_heat<T: Format>(&self, odd: bool, slots: &mut [T], u: &[Vec<f32>; 3]) -> f64 {
         let p = usize::from(odd);
         let mut gained = 0.0;
         for l in &self.open {
             let k = l.direction as usize;
             let inward: f32 = (0..3).map(|a| u[a][l.node as usize] * C[k][a] as f32).sum();
-            let old = slots[l.from[p] as usize];
-            let new = if inward > 0.0 { -old } else { slots[l.copy[p] as usize] };
-            slots[l.to[p] as usize] = new;
-            gained += f64::from(new - old);
+            let old = slots[l.from[p] as usize].get();
+            let new = if inward > 0.0 { -old } else { slots[l.copy[p] as usize].get() };
+            gained += place(slots, l.to[p], new, old);
         }
         gained
     }
+}
+
+/// Stores a population; returns what the stored one exceeds `old` by.
+#[inline(always)]
+pub(crate) fn place<T: Format>(slots: &mut [T], to: u32, value: f32, old: f32) -> f64 {
+    let stored = T::put(value);
+    slots[to as usize] = stored;
+    f64::from(stored.get() - old)
 }
 
 /// Anti-bounce-back for a density of 1, with stored populations `f − w`.

@@ -3,9 +3,10 @@
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
-use crate::air::boundaries::{Exchange, Links, exchange};
+use crate::air::boundaries::{Exchange, Links, exchange, place};
 use crate::air::d3q7::HeatRates;
 use crate::air::d3q19::FlowRates;
+use crate::air::population::{Format, Populations, Storage, with_populations};
 use crate::air::settings::{Face, FlowFace, HeatFace, LatticeSettings};
 use crate::air::storage::{CHUNK, Layout, planes, reach};
 use crate::air::sweep::{Context, HOLES, Plane, SOLID, SPONGE, Seen, WRITE, sweep};
@@ -70,6 +71,9 @@ struct Nodes {
     capacity: Vec<f32>,
     conductivity: Vec<f32>,
     class: Vec<u8>,
+    /// Heat \[K\] that exchange links owe the populations of a node: what leaves a node is a number of the format, so a small heat
+    /// added to it would round away in every step. Empty in single precision.
+    carry: Vec<f64>,
     /// Class without what [`Lattice::set_nodes`] brought.
     base: Vec<u8>,
 }
@@ -79,8 +83,7 @@ struct Nodes {
 pub struct Lattice {
     settings: LatticeSettings,
     layout: Layout,
-    f: Vec<f32>,
-    g: Vec<f32>,
+    populations: Populations,
     nodes: Nodes,
     flow_links: Links,
     heat_links: Links,
@@ -105,14 +108,20 @@ impl Lattice {
         let zeros = || vec![0.0f32; n];
         let mut nodes = Nodes { memory: vec![1.0; n], t: zeros(), u: [zeros(), zeros(), zeros()], ..Nodes::default() };
         nodes.solid = zeros();
+        if settings.storage == Storage::F16 {
+            nodes.carry = vec![0.0; n];
+        }
         nodes.solid_velocity = [zeros(), zeros(), zeros()];
         nodes.sponge = zeros();
         nodes.class = vec![0; settings.nodes[0] * settings.nodes[1] * layout.chunks()];
         let flow_links = if settings.flow { Links::new(&layout, Q19, &settings.faces) } else { Links::default() };
         let heat_links = if settings.heat { Links::new(&layout, Q7, &settings.faces) } else { Links::default() };
         let mut lattice = Self {
-            f: vec![0.0; if settings.flow { layout.populations(Q19) } else { 0 }],
-            g: vec![0.0; if settings.heat { layout.populations(Q7) } else { 0 }],
+            populations: Populations::new(
+                settings.storage,
+                if settings.flow { layout.populations(Q19) } else { 0 },
+                if settings.heat { layout.populations(Q7) } else { 0 },
+            ),
             layout,
             nodes,
             flow_links,
@@ -206,7 +215,7 @@ impl Lattice {
                 let cu: f64 = (0..3).map(|a| f64::from(C[k][a]) * u[a]).sum();
                 let f = W19[k] * (rho - 1.0 + rho * (3.0 * cu + 4.5 * cu * cu - 1.5 * u2));
                 let slot = self.layout.arriving(Q19, self.odd, k, here);
-                self.f[slot] = f as f32;
+                self.populations.set_flow(slot, f as f32);
             }
         }
         let i = self.layout.node(n);
@@ -226,7 +235,7 @@ impl Lattice {
             let cu: f64 = (0..3).map(|a| f64::from(C[k][a]) * u[a]).sum();
             let g = if k == 0 { c * t - (1.0 - W7[0]) * t } else { W7[k] * t * (1.0 + 4.0 * c * cu) };
             let slot = self.layout.arriving(Q7, self.odd, k, here);
-            self.g[slot] = g as f32;
+            self.populations.set_heat(slot, g as f32);
         }
     }
 
@@ -284,6 +293,9 @@ impl Lattice {
         }
         for n in fresh {
             displaced += self.enthalpy(n);
+            if let Some(carry) = self.nodes.carry.get_mut(self.layout.node(n)) {
+                displaced += std::mem::take(carry);
+            }
         }
         self.filled = filled;
         for (n, state) in states {
@@ -298,6 +310,9 @@ impl Lattice {
                 let u = std::array::from_fn(|a| f64::from(self.nodes.solid_velocity[a][o]));
                 self.set_heat(n, f64::from(self.nodes.t[o]), u);
                 released += f64::from(self.nodes.t[o]);
+                if !self.nodes.carry.is_empty() {
+                    self.nodes.carry[o] = f64::from(self.nodes.t[o]) - self.enthalpy(n);
+                }
             }
         }
         self.mark_deep();
@@ -383,35 +398,42 @@ impl Lattice {
         let seen = self.collide_and_stream();
         let odd = !self.odd;
         let mut report = StepReport { seen, wall: 0.0, open: seen.sponge, exchanged: 0.0 };
-        let Self { f, g, flow_links, heat_links, nodes, .. } = self;
-        let ((), (wall, open)) = rayon::join(
-            || {
-                flow_links.close(odd, f);
-                flow_links.open_flow(odd, f, &nodes.u);
-            },
-            || (heat_links.close(odd, g), heat_links.open_heat(odd, g, &nodes.u)),
-        );
-        report.wall = wall;
-        report.open += open;
-        let p = usize::from(odd);
-        for l in &self.adiabatic {
-            self.g[l.to[p] as usize] = self.g[l.from[p] as usize];
-        }
-        for (l, t) in &self.fixed {
-            let old = self.g[l.from[p] as usize];
-            let new = -old + 2.0 * W7[1] as f32 * t;
-            self.g[l.to[p] as usize] = new;
-            report.wall += f64::from(new - old);
-        }
         if !self.exchange.is_empty() {
             self.flux.resize(self.exchange.len(), 0.0);
             let mut links = self.exchange.iter().map(|l| ExchangeLink { air: self.nodes.t[l.air as usize], other: l.other });
             exchange(&mut links, &mut self.flux);
+        }
+        let p = usize::from(odd);
+        with_populations!(&mut self.populations, |f, g| {
+            let (flow_links, heat_links, u) = (&self.flow_links, &self.heat_links, &self.nodes.u);
+            let ((), (wall, open)) = rayon::join(
+                || {
+                    flow_links.close(odd, f);
+                    flow_links.open_flow(odd, f, u);
+                },
+                || (heat_links.close(odd, g), heat_links.open_heat(odd, g, u)),
+            );
+            report.wall = wall;
+            report.open += open;
+            for l in &self.adiabatic {
+                g[l.to[p] as usize] = g[l.from[p] as usize];
+            }
+            for (l, t) in &self.fixed {
+                let old = g[l.from[p] as usize].get();
+                report.wall += place(g, l.to[p], -old + 2.0 * W7[1] as f32 * t, old);
+            }
             for (l, q) in self.exchange.iter().zip(&self.flux) {
-                self.g[l.to[p] as usize] = self.g[l.from[p] as usize] + q;
+                let old = g[l.from[p] as usize].get();
+                match self.nodes.carry.get_mut(l.air as usize) {
+                    None => _ = place(g, l.to[p], old + q, old),
+                    Some(carry) => {
+                        let heat = f64::from(*q) + *carry;
+                        *carry = heat - place(g, l.to[p], (f64::from(old) + heat) as f32, old);
+                    }
+                }
                 report.exchanged += f64::from(*q);
             }
-        }
+        });
         self.odd = odd;
         report
     }
@@ -432,53 +454,18 @@ impl Lattice {
             reach: std::array::from_fn(|q| reach(&self.layout, self.odd, q)),
             write_all: self.write_all,
         };
-        let nx = s.nodes[0];
-        let plane = self.layout.plane;
-        let class = s.nodes[1] * self.layout.chunks();
-        let none = |n: usize| -> Vec<[&mut [f32]; 19]> { (0..n).map(|_| std::array::from_fn(|_| Default::default())).collect() };
-        let none7 = |n: usize| -> Vec<[&mut [f32]; 7]> { (0..n).map(|_| std::array::from_fn(|_| Default::default())).collect() };
-        let f = if s.flow { planes::<f32, 19>(&self.layout, self.odd, &mut self.f) } else { none(nx) };
-        let g = if s.heat { planes::<f32, 7>(&self.layout, self.odd, &mut self.g) } else { none7(nx) };
-        let nodes = &mut self.nodes;
-        let [ux, uy, uz] = &mut nodes.u;
-        let velocity = ux.chunks_exact_mut(plane).zip(uy.chunks_exact_mut(plane)).zip(uz.chunks_exact_mut(plane));
-        let part = |v: &[f32], i: usize| -> std::ops::Range<usize> { if v.is_empty() { 0..0 } else { i * plane..(i + 1) * plane } };
-        let mut tasks: Vec<Plane> = Vec::with_capacity(nx);
-        for (i, (((f, g), t), ((ux, uy), uz))) in f.into_iter().zip(g).zip(nodes.t.chunks_exact_mut(plane)).zip(velocity).enumerate() {
-            tasks.push(Plane {
-                f,
-                g,
-                t,
-                u: [ux, uy, uz],
-                solid: &nodes.solid[part(&nodes.solid, i)],
-                solid_velocity: nodes.solid_velocity.each_ref().map(|v| &v[part(v, i)]),
-                sponge: &nodes.sponge[part(&nodes.sponge, i)],
-                memory: &nodes.memory[part(&nodes.memory, i)],
-                capacity: &nodes.capacity[part(&nodes.capacity, i)],
-                conductivity: &nodes.conductivity[part(&nodes.conductivity, i)],
-                class: &nodes.class[i * class..(i + 1) * class],
-            });
-        }
-        let level = self.level;
-        let seen: Vec<Seen> = tasks
-            .par_iter_mut()
-            .map(|p| match (s.flow, s.heat) {
-                (true, true) => dispatch!(level, v => sweep::<_, true, true>(v, &cx, p)),
-                (true, false) => dispatch!(level, v => sweep::<_, true, false>(v, &cx, p)),
-                (false, _) => dispatch!(level, v => sweep::<_, false, true>(v, &cx, p)),
-            })
-            .collect();
-        seen.into_iter().fold(Seen::NOTHING, Seen::merge)
+        let (nodes, layout, odd, level) = (&mut self.nodes, &self.layout, self.odd, self.level);
+        with_populations!(&mut self.populations, |f, g| sweep_planes(s, layout, odd, level, &cx, nodes, f, g))
     }
 
     /// The population that arrives at a node along `k` in the next step, flow.
     fn flow_population(&self, n: [usize; 3], k: usize) -> f64 {
-        f64::from(self.f[self.layout.arriving(Q19, self.odd, k, n.map(|v| v as isize))])
+        f64::from(self.populations.flow(self.layout.arriving(Q19, self.odd, k, n.map(|v| v as isize))))
     }
 
     /// The population that arrives at a node along `k` in the next step, temperature.
     fn heat_population(&self, n: [usize; 3], k: usize) -> f64 {
-        f64::from(self.g[self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize))])
+        f64::from(self.populations.heat(self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize))))
     }
 
     /// Density and velocity of a node, without the correction for half of the next force.
@@ -530,7 +517,8 @@ impl Lattice {
     pub fn warm(&mut self, n: [usize; 3], change: f32) {
         for k in 0..Q7 {
             let slot = self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize));
-            self.g[slot] += W7[k] as f32 * change;
+            let old = self.populations.heat(slot);
+            self.populations.set_heat(slot, old + W7[k] as f32 * change);
         }
     }
 
@@ -544,14 +532,16 @@ impl Lattice {
                 for j in 0..ny {
                     let memory = &self.nodes.memory[self.layout.node([i, j, 0])..][..nz];
                     for k in 0..Q7 {
-                        let slots = &self.g[self.layout.arriving(Q7, self.odd, k, [i as isize, j as isize, 0])..][..nz];
-                        sum += slots.iter().zip(memory).map(|(g, m)| f64::from(g * m)).sum::<f64>();
+                        let first = self.layout.arriving(Q7, self.odd, k, [i as isize, j as isize, 0]);
+                        sum += with_populations!(&self.populations, |_f, g| {
+                            g[first..][..nz].iter().zip(memory).map(|(g, m)| f64::from(g.get() * m)).sum::<f64>()
+                        });
                     }
                 }
                 sum
             })
             .collect();
-        rows.iter().sum()
+        rows.iter().sum::<f64>() + self.nodes.carry.iter().sum::<f64>()
     }
 
     /// Everything that the next step depends on, besides settings and media: per node the arriving populations, temperature,
@@ -562,14 +552,18 @@ impl Lattice {
         for n in self.every() {
             let here = n.map(|v| v as isize);
             if self.settings.flow {
-                out.extend((0..Q19).map(|k| self.f[self.layout.arriving(Q19, self.odd, k, here)]));
+                out.extend((0..Q19).map(|k| self.populations.flow(self.layout.arriving(Q19, self.odd, k, here))));
             }
             if self.settings.heat {
-                out.extend((0..Q7).map(|k| self.g[self.layout.arriving(Q7, self.odd, k, here)]));
+                out.extend((0..Q7).map(|k| self.populations.heat(self.layout.arriving(Q7, self.odd, k, here))));
             }
             let o = self.layout.node(n);
             let v = &self.nodes.solid_velocity;
             out.extend([self.nodes.t[o], self.nodes.memory[o], v[0][o], v[1][o], v[2][o], self.nodes.solid[o]]);
+            if let Some(carry) = self.nodes.carry.get(o) {
+                let bits = carry.to_bits();
+                out.extend([f32::from_bits((bits >> 32) as u32), f32::from_bits(bits as u32)]);
+            }
         }
         out
     }
@@ -578,7 +572,7 @@ impl Lattice {
     /// state belongs to another lattice.
     pub fn restore(&mut self, state: &[f32]) -> bool {
         let (flow, heat) = (if self.settings.flow { Q19 } else { 0 }, if self.settings.heat { Q7 } else { 0 });
-        let record = flow + heat + 6;
+        let record = flow + heat + 6 + if self.nodes.carry.is_empty() { 0 } else { 2 };
         let nodes: Vec<[usize; 3]> = self.every().collect();
         if state.len() != nodes.len() * record {
             return false;
@@ -589,17 +583,20 @@ impl Lattice {
             let here = n.map(|v| v as isize);
             for k in 0..flow {
                 let slot = self.layout.arriving(Q19, false, k, here);
-                self.f[slot] = r[k];
+                self.populations.set_flow(slot, r[k]);
             }
             for k in 0..heat {
                 let slot = self.layout.arriving(Q7, false, k, here);
-                self.g[slot] = r[flow + k];
+                self.populations.set_heat(slot, r[flow + k]);
             }
             let o = self.layout.node(n);
             let r = &r[flow + heat..];
             (self.nodes.t[o], self.nodes.memory[o], self.nodes.solid[o]) = (r[0], r[1], r[5]);
             for a in 0..3 {
                 self.nodes.solid_velocity[a][o] = r[2 + a];
+            }
+            if let Some(carry) = self.nodes.carry.get_mut(o) {
+                *carry = f64::from_bits(u64::from(r[6].to_bits()) << 32 | u64::from(r[7].to_bits()));
             }
             if r[5] > 0.0 || r[1] == 0.0 {
                 self.filled.push(o as u32);
@@ -612,4 +609,50 @@ impl Lattice {
         let [nx, ny, nz] = self.settings.nodes;
         (0..nx).flat_map(move |i| (0..ny).flat_map(move |j| (0..nz).map(move |k| [i, j, k])))
     }
+}
+
+/// One step of all planes.
+fn sweep_planes<F: Format, G: Format>(
+    s: &LatticeSettings,
+    layout: &Layout,
+    odd: bool,
+    level: Level,
+    cx: &Context,
+    nodes: &mut Nodes,
+    f: &mut [F],
+    g: &mut [G],
+) -> Seen {
+    let nx = s.nodes[0];
+    let plane = layout.plane;
+    let class = s.nodes[1] * layout.chunks();
+    let f = if s.flow { planes::<F, Q19>(layout, odd, f) } else { (0..nx).map(|_| std::array::from_fn(|_| Default::default())).collect() };
+    let g = if s.heat { planes::<G, Q7>(layout, odd, g) } else { (0..nx).map(|_| std::array::from_fn(|_| Default::default())).collect() };
+    let [ux, uy, uz] = &mut nodes.u;
+    let velocity = ux.chunks_exact_mut(plane).zip(uy.chunks_exact_mut(plane)).zip(uz.chunks_exact_mut(plane));
+    let part = |v: &[f32], i: usize| -> std::ops::Range<usize> { if v.is_empty() { 0..0 } else { i * plane..(i + 1) * plane } };
+    let mut tasks: Vec<Plane<F, G>> = Vec::with_capacity(nx);
+    for (i, (((f, g), t), ((ux, uy), uz))) in f.into_iter().zip(g).zip(nodes.t.chunks_exact_mut(plane)).zip(velocity).enumerate() {
+        tasks.push(Plane {
+            f,
+            g,
+            t,
+            u: [ux, uy, uz],
+            solid: &nodes.solid[part(&nodes.solid, i)],
+            solid_velocity: nodes.solid_velocity.each_ref().map(|v| &v[part(v, i)]),
+            sponge: &nodes.sponge[part(&nodes.sponge, i)],
+            memory: &nodes.memory[part(&nodes.memory, i)],
+            capacity: &nodes.capacity[part(&nodes.capacity, i)],
+            conductivity: &nodes.conductivity[part(&nodes.conductivity, i)],
+            class: &nodes.class[i * class..(i + 1) * class],
+        });
+    }
+    let seen: Vec<Seen> = tasks
+        .par_iter_mut()
+        .map(|p| match (s.flow, s.heat) {
+            (true, true) => dispatch!(level, v => sweep::<_, F, G, true, true>(v, cx, p)),
+            (true, false) => dispatch!(level, v => sweep::<_, F, G, true, false>(v, cx, p)),
+            (false, _) => dispatch!(level, v => sweep::<_, F, G, false, true>(v, cx, p)),
+        })
+        .collect();
+    seen.into_iter().fold(Seen::NOTHING, Seen::merge)
 }

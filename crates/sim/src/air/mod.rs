@@ -6,6 +6,7 @@ mod boundaries;
 mod d3q19;
 mod d3q7;
 mod lattice;
+mod population;
 pub mod reference;
 pub(crate) mod room;
 mod settings;
@@ -16,6 +17,7 @@ mod tests;
 mod velocity_sets;
 
 pub use lattice::{ExchangeLink, HeatNode, Lattice, NodeState, StepReport};
+pub use population::Storage;
 pub use room::{AirStep, SimulatedAir};
 pub use settings::{Face, FlowFace, HeatFace, LAMBDA_AIR, LAMBDA_FLOW, LAMBDA_MATERIAL, LAMBDA_STILL, LatticeSettings, SPEED_CAP};
 pub use sweep::Seen;

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::air::population::Storage;
+
 /// Magic parameter of the flow that puts half-way walls exactly half-way (simulation.md §4.3).
 pub const LAMBDA_FLOW: f64 = 3.0 / 16.0;
 /// Magic parameter of the temperature in air that moves. The design's 1/6 (simulation.md §4.4) suits conduction; 1/12 is better for
@@ -101,6 +103,9 @@ pub struct LatticeSettings {
     pub sponge_layers: usize,
     /// Velocity of the air in lattices without flow.
     pub wind: [f64; 3],
+    /// Number format of the stored populations.
+    #[serde(default)]
+    pub storage: Storage,
 }
 
 impl LatticeSettings {
@@ -122,6 +127,7 @@ impl LatticeSettings {
             faces: [[Face::PERIODIC; 2]; 3],
             sponge_layers: 0,
             wind: [0.0; 3],
+            storage: Storage::F32,
         }
     }
 

@@ -8,6 +8,7 @@ use megas_math::simd::{Lanes, each3};
 
 use crate::air::d3q7::{self, HeatPairs, HeatRates};
 use crate::air::d3q19::{self, FlowRates, Pairs};
+use crate::air::population::Format;
 use crate::air::settings::SPEED_CAP;
 use crate::air::storage::{CHUNK, Layout};
 
@@ -39,9 +40,9 @@ pub(crate) struct Context<'a> {
 }
 
 /// Arrays of one plane; empty where a lattice does without.
-pub(crate) struct Plane<'a> {
-    pub(crate) f: [&'a mut [f32]; 19],
-    pub(crate) g: [&'a mut [f32]; 7],
+pub(crate) struct Plane<'a, F, G> {
+    pub(crate) f: [&'a mut [F]; 19],
+    pub(crate) g: [&'a mut [G]; 7],
     pub(crate) t: &'a mut [f32],
     pub(crate) u: [&'a mut [f32]; 3],
     pub(crate) solid: &'a [f32],
@@ -129,7 +130,7 @@ impl<S: Simd> Watch<S> {
 
 /// Advances every node of a plane.
 #[inline(always)]
-pub(crate) fn sweep<S: Simd, const FLOW: bool, const HEAT: bool>(s: S, cx: &Context, p: &mut Plane) -> Seen {
+pub(crate) fn sweep<S: Simd, F: Format, G: Format, const FLOW: bool, const HEAT: bool>(s: S, cx: &Context, p: &mut Plane<F, G>) -> Seen {
     let lanes = Lanes::<S>::LEN;
     let [_, ny, nz] = cx.layout.nodes;
     let chunks = cx.layout.chunks();
@@ -143,9 +144,9 @@ pub(crate) fn sweep<S: Simd, const FLOW: bool, const HEAT: bool>(s: S, cx: &Cont
             while k < end {
                 let valid = (nz - k).min(lanes);
                 if plain && valid == lanes {
-                    vector::<S, FLOW, HEAT, false>(s, cx, p, row + k, valid, class, &mut watch);
+                    vector::<S, F, G, FLOW, HEAT, false>(s, cx, p, row + k, valid, class, &mut watch);
                 } else {
-                    vector::<S, FLOW, HEAT, true>(s, cx, p, row + k, valid, class, &mut watch);
+                    vector::<S, F, G, FLOW, HEAT, true>(s, cx, p, row + k, valid, class, &mut watch);
                 }
                 k += lanes;
             }
@@ -166,10 +167,10 @@ fn store<S: Simd>(v: Lanes<S>, a: &mut [f32], n: usize) {
 
 /// Advances one vector of nodes. Without `GENERAL` it is pure air away from everything.
 #[inline(always)]
-fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
+fn vector<S: Simd, F: Format, G: Format, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
     s: S,
     cx: &Context,
-    p: &mut Plane,
+    p: &mut Plane<F, G>,
     n: usize,
     valid: usize,
     class: u8,
@@ -189,11 +190,11 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
     let mut g = HeatPairs { rest: zero, sum: [zero; 3], difference: [zero; 3] };
     let (mut h, mut t, mut capacity) = (zero, zero, one);
     if HEAT {
-        g.rest = load(s, p.g[0], n);
+        g.rest = G::load(s, p.g[0], n) * (1.0 / G::SCALE);
         for q in 0..3 {
-            let (a, b) = (load(s, p.g[2 * q + 1], at(2 * q + 1)), load(s, p.g[2 * q + 2], at(2 * q + 2)));
-            g.sum[q] = a + b;
-            g.difference[q] = (a - b) * cx.sign;
+            let (a, b) = (G::load(s, p.g[2 * q + 1], at(2 * q + 1)), G::load(s, p.g[2 * q + 2], at(2 * q + 2)));
+            g.sum[q] = (a + b) * (1.0 / G::SCALE);
+            g.difference[q] = (a - b) * (cx.sign * (1.0 / G::SCALE));
         }
         h = d3q7::enthalpy(&g) + 0.5 * cx.heat.source;
         t = h;
@@ -218,11 +219,11 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
     let mut u = each3(|a| c(cx.wind[a]));
     let (mut eddy, mut mass) = (zero, one);
     if FLOW {
-        let mut f = Pairs { rest: load(s, p.f[0], n), sum: [zero; 9], difference: [zero; 9] };
+        let mut f = Pairs { rest: F::load(s, p.f[0], n) * (1.0 / F::SCALE), sum: [zero; 9], difference: [zero; 9] };
         for q in 0..9 {
-            let (a, b) = (load(s, p.f[2 * q + 1], at(2 * q + 1)), load(s, p.f[2 * q + 2], at(2 * q + 2)));
-            f.sum[q] = a + b;
-            f.difference[q] = (a - b) * cx.sign;
+            let (a, b) = (F::load(s, p.f[2 * q + 1], at(2 * q + 1)), F::load(s, p.f[2 * q + 2], at(2 * q + 2)));
+            f.sum[q] = (a + b) * (1.0 / F::SCALE);
+            f.difference[q] = (a - b) * (cx.sign * (1.0 / F::SCALE));
         }
         let (rho, m) = d3q19::moments(&f);
         let mut force = each3(|a| c(cx.force[a]));
@@ -254,11 +255,11 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
             d3q19::saturate(s, &before, &mut f, solid, share, rho, density, u, v);
             counts = solid.simd_gt(c(0.5)).select(zero, counts);
         }
-        store::<S>(f.rest, p.f[0], n);
+        F::store(s, f.rest * F::SCALE, p.f[0], n);
         for q in 0..9 {
-            let turned = f.difference[q] * cx.sign;
-            store::<S>(f.sum[q] - turned, p.f[2 * q + 1], at(2 * q + 1));
-            store::<S>(f.sum[q] + turned, p.f[2 * q + 2], at(2 * q + 2));
+            let (even, turned) = (f.sum[q] * F::SCALE, f.difference[q] * (cx.sign * F::SCALE));
+            F::store(s, even - turned, p.f[2 * q + 1], at(2 * q + 1));
+            F::store(s, even + turned, p.f[2 * q + 2], at(2 * q + 2));
         }
         let (mut speed2, mut low, mut high) = (speed2, rho, rho);
         if GENERAL {
@@ -293,11 +294,11 @@ fn vector<S: Simd, const FLOW: bool, const HEAT: bool, const GENERAL: bool>(
             g.difference = each3(|q| g.difference[q] * memory);
             counts *= memory;
         }
-        store::<S>(g.rest, p.g[0], n);
+        G::store(s, g.rest * G::SCALE, p.g[0], n);
         for q in 0..3 {
-            let turned = g.difference[q] * cx.sign;
-            store::<S>(g.sum[q] - turned, p.g[2 * q + 1], at(2 * q + 1));
-            store::<S>(g.sum[q] + turned, p.g[2 * q + 2], at(2 * q + 2));
+            let (even, turned) = (g.sum[q] * G::SCALE, g.difference[q] * (cx.sign * G::SCALE));
+            G::store(s, even - turned, p.g[2 * q + 1], at(2 * q + 1));
+            G::store(s, even + turned, p.g[2 * q + 2], at(2 * q + 2));
         }
         let (mut low, mut high) = (t, t);
         if GENERAL {
