@@ -6,10 +6,10 @@ use std::collections::HashMap;
 use megas_math::{quat, vec3};
 use megas_model::Points;
 use megas_scene::{
-    AirMode, Auto, CELSIUS_K, Clock, Frame, Heat, HeatTransfer, MomentumTransfer, MotionKey, Object, Placement, Quantity, Region,
-    ResolvedMaterial, Scene, Severity,
+    AirMode, AirStorage, Auto, CELSIUS_K, Clock, Frame, Heat, HeatTransfer, MomentumTransfer, MotionKey, Object, Placement, Quantity,
+    Region, ResolvedMaterial, Scene, Severity,
 };
-use megas_sim::air::SimulatedAir;
+use megas_sim::air::{SimulatedAir, Storage};
 use megas_sim::collider::{Collider, SCENE_CONTACT_OFFSET, Thermal};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
@@ -349,6 +349,10 @@ fn simulated_air(scene: &Scene, volume_m3: f64, config: &SolverConfig, points: &
         gravity: scene.simulation.gravity_m_s2,
         plume_steps: scene.air.plume_steps,
         closed: scene.air.closed,
+        storage: match scene.air.storage {
+            AirStorage::F32 => Storage::F32,
+            AirStorage::F16 => Storage::F16,
+        },
     })
 }
 

@@ -43,7 +43,9 @@ pub use output::{Appearance, Clip, Film, MeshKind, Output};
 pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
 pub use scene::{Clock, Scene};
 pub use schema::json_schema;
-pub use settings::{Air, AirMode, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Quality, Simulation, Time};
+pub use settings::{
+    Air, AirMode, AirStorage, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Quality, Simulation, Time,
+};
 pub use shape::{BoxShape, Frame, HalfSpace, HeightShape, MeshShape, Placement, Plane, Sphere, Tube};
 pub use skin::{CrackKernel, Draw, KernelRadius, Push, Skin, SurfaceNormals, SurfaceRule};
 pub use still::{BodyForm, InputBody, Pattern, Table};

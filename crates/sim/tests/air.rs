@@ -1,7 +1,7 @@
 //! Simulated air around moving, melting material: energy audit, plume, threads, restarts.
 
 use megas_model::Points;
-use megas_sim::air::SimulatedAir;
+use megas_sim::air::{SimulatedAir, Storage};
 use megas_sim::collider::{Collider, Shape, Thermal};
 use megas_sim::grid::Grid;
 use megas_sim::material::Material;
@@ -106,6 +106,25 @@ fn warm_air_rises_over_a_plate() {
     assert!(fastest > 1e-4, "{fastest}");
 }
 
+/// What rounding does to a melting cube over a hot plate, and to its audit.
+#[test]
+fn half_precision_changes_little_around_a_melting_cube() {
+    let run = |storage| {
+        let mut solver =
+            Solver::new(config(SimulatedAir { storage, ..SimulatedAir::default() }, 353.15, false), &cube(AMBIENT as f32, 9.0))
+                .expect("a solver");
+        for _ in 0..30 {
+            advance(&mut solver);
+        }
+        let total = solver.totals().audit.expect("an audit");
+        println!("{storage:?}: {total:?}");
+        total
+    };
+    let (single, half) = (run(Storage::F32), run(Storage::F16));
+    assert!((half.air / single.air - 1.0).abs() < 0.01, "{half:?} {single:?}");
+    assert!(half.residual.abs() < 1e-7 * half.wall && single.residual.abs() < 1e-7 * half.wall, "{half:?}");
+}
+
 #[test]
 fn still_air_takes_what_a_cube_loses() {
     let air = SimulatedAir { convection: false, closed: true, ..SimulatedAir::default() };
@@ -128,7 +147,14 @@ fn still_air_takes_what_a_cube_loses() {
 
 #[test]
 fn threads_and_restarts_change_no_bit() {
-    let setup = config(SimulatedAir { wall_film: 10.0, emissivity: 0.9, plume_steps: 5, ..SimulatedAir::default() }, 350.0, true);
+    for storage in [Storage::F32, Storage::F16] {
+        threads_and_restarts(storage);
+    }
+}
+
+fn threads_and_restarts(storage: Storage) {
+    let air = SimulatedAir { wall_film: 10.0, emissivity: 0.9, plume_steps: 5, storage, ..SimulatedAir::default() };
+    let setup = config(air, 350.0, true);
     let points = cube(320.0, 7.0);
     let run = |threads: usize, restart: Option<usize>| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");

@@ -49,6 +49,10 @@ pub const CASES: &[Case] = &[
         .proves("the whole air: flow, temperature, buoyancy, walls")
         .setup("32² and 64², hot left, cold right, other walls adiabatic, Pr = 0.71, until the Nusselt number rests")
         .formula("de Vahl Davis 1983"),
+    Case::new("V22-half", "vortices and natural convection in half precision", Tier::B, cavity::half)
+        .proves("how much of the air survives when its populations are stored in 16 bits")
+        .setup("V19 at N = 64 and 128, V22 at Ra = 10³ and 10⁴, as many steps as single precision needs to rest")
+        .formula("the same runs in single precision; de Vahl Davis 1983"),
     Case::new("V22", "natural convection in a square cavity, Ra = 10⁵", Tier::C, cavity::square_large)
         .proves("thin boundary layers")
         .setup("96², as above")

@@ -71,9 +71,8 @@ struct Nodes {
     capacity: Vec<f32>,
     conductivity: Vec<f32>,
     class: Vec<u8>,
-    /// Heat \[K\] that exchange links owe the populations of a node: what leaves a node is a number of the format, so a small heat
-    /// added to it would round away in every step. Empty in single precision.
-    carry: Vec<f64>,
+    /// Resting temperature populations in half precision, which stay in single precision; empty otherwise.
+    rest: Vec<f32>,
     /// Class without what [`Lattice::set_nodes`] brought.
     base: Vec<u8>,
 }
@@ -108,8 +107,8 @@ impl Lattice {
         let zeros = || vec![0.0f32; n];
         let mut nodes = Nodes { memory: vec![1.0; n], t: zeros(), u: [zeros(), zeros(), zeros()], ..Nodes::default() };
         nodes.solid = zeros();
-        if settings.storage == Storage::F16 {
-            nodes.carry = vec![0.0; n];
+        if settings.heat && settings.storage == Storage::F16 {
+            nodes.rest = vec![0.0; n];
         }
         nodes.solid_velocity = [zeros(), zeros(), zeros()];
         nodes.sponge = zeros();
@@ -229,13 +228,16 @@ impl Lattice {
     }
 
     fn set_heat(&mut self, n: [usize; 3], t: f64, u: [f64; 3]) {
-        let here = n.map(|v| v as isize);
         let c = self.nodes.capacity.get(self.layout.node(n)).map_or(1.0, |c| f64::from(*c));
         for k in 0..Q7 {
             let cu: f64 = (0..3).map(|a| f64::from(C[k][a]) * u[a]).sum();
             let g = if k == 0 { c * t - (1.0 - W7[0]) * t } else { W7[k] * t * (1.0 + 4.0 * c * cu) };
-            let slot = self.layout.arriving(Q7, self.odd, k, here);
-            self.populations.set_heat(slot, g as f32);
+            self.put_heat(n, k, g as f32);
+        }
+        // What rounding took from the moving ones stays at rest.
+        let short = c * t - self.enthalpy(n);
+        if let Some(rest) = self.nodes.rest.get_mut(self.layout.node(n)) {
+            *rest += short as f32;
         }
     }
 
@@ -293,9 +295,6 @@ impl Lattice {
         }
         for n in fresh {
             displaced += self.enthalpy(n);
-            if let Some(carry) = self.nodes.carry.get_mut(self.layout.node(n)) {
-                displaced += std::mem::take(carry);
-            }
         }
         self.filled = filled;
         for (n, state) in states {
@@ -310,9 +309,6 @@ impl Lattice {
                 let u = std::array::from_fn(|a| f64::from(self.nodes.solid_velocity[a][o]));
                 self.set_heat(n, f64::from(self.nodes.t[o]), u);
                 released += f64::from(self.nodes.t[o]);
-                if !self.nodes.carry.is_empty() {
-                    self.nodes.carry[o] = f64::from(self.nodes.t[o]) - self.enthalpy(n);
-                }
             }
         }
         self.mark_deep();
@@ -424,12 +420,9 @@ impl Lattice {
             }
             for (l, q) in self.exchange.iter().zip(&self.flux) {
                 let old = g[l.from[p] as usize].get();
-                match self.nodes.carry.get_mut(l.air as usize) {
-                    None => _ = place(g, l.to[p], old + q, old),
-                    Some(carry) => {
-                        let heat = f64::from(*q) + *carry;
-                        *carry = heat - place(g, l.to[p], (f64::from(old) + heat) as f32, old);
-                    }
+                let placed = place(g, l.to[p], old + q, old);
+                if let Some(rest) = self.nodes.rest.get_mut(l.air as usize) {
+                    *rest += (f64::from(*q) - placed) as f32;
                 }
                 report.exchanged += f64::from(*q);
             }
@@ -465,7 +458,21 @@ impl Lattice {
 
     /// The population that arrives at a node along `k` in the next step, temperature.
     fn heat_population(&self, n: [usize; 3], k: usize) -> f64 {
-        f64::from(self.populations.heat(self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize))))
+        f64::from(self.stored_heat(n, k))
+    }
+
+    fn stored_heat(&self, n: [usize; 3], k: usize) -> f32 {
+        match self.nodes.rest.get(self.layout.node(n)) {
+            Some(rest) if k == 0 => *rest,
+            _ => self.populations.heat(self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize))),
+        }
+    }
+
+    fn put_heat(&mut self, n: [usize; 3], k: usize, value: f32) {
+        match self.nodes.rest.get_mut(self.layout.node(n)) {
+            Some(rest) if k == 0 => *rest = value,
+            _ => self.populations.set_heat(self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize)), value),
+        }
     }
 
     /// Density and velocity of a node, without the correction for half of the next force.
@@ -516,9 +523,8 @@ impl Lattice {
     /// Adds `change` \[K\] to the temperature of an air node (simulation.md §3.5), keeping its flux.
     pub fn warm(&mut self, n: [usize; 3], change: f32) {
         for k in 0..Q7 {
-            let slot = self.layout.arriving(Q7, self.odd, k, n.map(|v| v as isize));
-            let old = self.populations.heat(slot);
-            self.populations.set_heat(slot, old + W7[k] as f32 * change);
+            let old = self.stored_heat(n, k);
+            self.put_heat(n, k, old + W7[k] as f32 * change);
         }
     }
 
@@ -531,7 +537,9 @@ impl Lattice {
                 let mut sum = 0.0;
                 for j in 0..ny {
                     let memory = &self.nodes.memory[self.layout.node([i, j, 0])..][..nz];
-                    for k in 0..Q7 {
+                    let resting = self.nodes.rest.get(self.layout.node([i, j, 0])..).map_or(&[][..], |r| &r[..nz.min(r.len())]);
+                    sum += resting.iter().zip(memory).map(|(g, m)| f64::from(g * m)).sum::<f64>();
+                    for k in usize::from(!resting.is_empty())..Q7 {
                         let first = self.layout.arriving(Q7, self.odd, k, [i as isize, j as isize, 0]);
                         sum += with_populations!(&self.populations, |_f, g| {
                             g[first..][..nz].iter().zip(memory).map(|(g, m)| f64::from(g.get() * m)).sum::<f64>()
@@ -541,7 +549,7 @@ impl Lattice {
                 sum
             })
             .collect();
-        rows.iter().sum::<f64>() + self.nodes.carry.iter().sum::<f64>()
+        rows.iter().sum()
     }
 
     /// Everything that the next step depends on, besides settings and media: per node the arriving populations, temperature,
@@ -555,15 +563,11 @@ impl Lattice {
                 out.extend((0..Q19).map(|k| self.populations.flow(self.layout.arriving(Q19, self.odd, k, here))));
             }
             if self.settings.heat {
-                out.extend((0..Q7).map(|k| self.populations.heat(self.layout.arriving(Q7, self.odd, k, here))));
+                out.extend((0..Q7).map(|k| self.stored_heat(n, k)));
             }
             let o = self.layout.node(n);
             let v = &self.nodes.solid_velocity;
             out.extend([self.nodes.t[o], self.nodes.memory[o], v[0][o], v[1][o], v[2][o], self.nodes.solid[o]]);
-            if let Some(carry) = self.nodes.carry.get(o) {
-                let bits = carry.to_bits();
-                out.extend([f32::from_bits((bits >> 32) as u32), f32::from_bits(bits as u32)]);
-            }
         }
         out
     }
@@ -572,7 +576,7 @@ impl Lattice {
     /// state belongs to another lattice.
     pub fn restore(&mut self, state: &[f32]) -> bool {
         let (flow, heat) = (if self.settings.flow { Q19 } else { 0 }, if self.settings.heat { Q7 } else { 0 });
-        let record = flow + heat + 6 + if self.nodes.carry.is_empty() { 0 } else { 2 };
+        let record = flow + heat + 6;
         let nodes: Vec<[usize; 3]> = self.every().collect();
         if state.len() != nodes.len() * record {
             return false;
@@ -586,17 +590,13 @@ impl Lattice {
                 self.populations.set_flow(slot, r[k]);
             }
             for k in 0..heat {
-                let slot = self.layout.arriving(Q7, false, k, here);
-                self.populations.set_heat(slot, r[flow + k]);
+                self.put_heat(n, k, r[flow + k]);
             }
             let o = self.layout.node(n);
             let r = &r[flow + heat..];
             (self.nodes.t[o], self.nodes.memory[o], self.nodes.solid[o]) = (r[0], r[1], r[5]);
             for a in 0..3 {
                 self.nodes.solid_velocity[a][o] = r[2 + a];
-            }
-            if let Some(carry) = self.nodes.carry.get_mut(o) {
-                *carry = f64::from_bits(u64::from(r[6].to_bits()) << 32 | u64::from(r[7].to_bits()));
             }
             if r[5] > 0.0 || r[1] == 0.0 {
                 self.filled.push(o as u32);
@@ -605,7 +605,7 @@ impl Lattice {
         true
     }
 
-    fn every(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
+    pub(crate) fn every(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
         let [nx, ny, nz] = self.settings.nodes;
         (0..nx).flat_map(move |i| (0..ny).flat_map(move |j| (0..nz).map(move |k| [i, j, k])))
     }
@@ -630,6 +630,7 @@ fn sweep_planes<F: Format, G: Format>(
     let [ux, uy, uz] = &mut nodes.u;
     let velocity = ux.chunks_exact_mut(plane).zip(uy.chunks_exact_mut(plane)).zip(uz.chunks_exact_mut(plane));
     let part = |v: &[f32], i: usize| -> std::ops::Range<usize> { if v.is_empty() { 0..0 } else { i * plane..(i + 1) * plane } };
+    let mut rest = nodes.rest.chunks_exact_mut(plane);
     let mut tasks: Vec<Plane<F, G>> = Vec::with_capacity(nx);
     for (i, (((f, g), t), ((ux, uy), uz))) in f.into_iter().zip(g).zip(nodes.t.chunks_exact_mut(plane)).zip(velocity).enumerate() {
         tasks.push(Plane {
@@ -643,6 +644,7 @@ fn sweep_planes<F: Format, G: Format>(
             memory: &nodes.memory[part(&nodes.memory, i)],
             capacity: &nodes.capacity[part(&nodes.capacity, i)],
             conductivity: &nodes.conductivity[part(&nodes.conductivity, i)],
+            rest: rest.next().unwrap_or_default(),
             class: &nodes.class[i * class..(i + 1) * class],
         });
     }

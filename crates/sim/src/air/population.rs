@@ -29,11 +29,13 @@ pub(crate) const HEAT_EXPONENT: i32 = 2;
 /// A format. `VALUE · SCALE` is stored; the caller of [`Format::load`] and [`Format::store`] scales.
 pub(crate) trait Format: Copy + Default + Send + Sync {
     const SCALE: f32;
+    /// The format holds every `f32`.
+    const EXACT: bool;
 
     /// The `LEN` stored numbers from `a[n]` on, times [`Format::SCALE`].
     fn load<S: Simd>(s: S, a: &[Self], n: usize) -> Lanes<S>;
-    /// Stores lanes that are scaled already.
-    fn store<S: Simd>(s: S, v: Lanes<S>, a: &mut [Self], n: usize);
+    /// Stores lanes that are scaled already; returns what is stored.
+    fn store<S: Simd>(s: S, v: Lanes<S>, a: &mut [Self], n: usize) -> Lanes<S>;
     /// The population.
     fn get(self) -> f32;
     /// The nearest number of the format.
@@ -42,6 +44,7 @@ pub(crate) trait Format: Copy + Default + Send + Sync {
 
 impl Format for f32 {
     const SCALE: f32 = 1.0;
+    const EXACT: bool = true;
 
     #[inline(always)]
     fn load<S: Simd>(s: S, a: &[Self], n: usize) -> Lanes<S> {
@@ -49,8 +52,9 @@ impl Format for f32 {
     }
 
     #[inline(always)]
-    fn store<S: Simd>(_: S, v: Lanes<S>, a: &mut [Self], n: usize) {
+    fn store<S: Simd>(_: S, v: Lanes<S>, a: &mut [Self], n: usize) -> Lanes<S> {
         v.store_slice(&mut a[n..n + Lanes::<S>::LEN]);
+        v
     }
 
     #[inline(always)]
@@ -75,6 +79,7 @@ const fn power(exponent: i32) -> f32 {
 
 impl<const EXPONENT: i32> Format for Half<EXPONENT> {
     const SCALE: f32 = power(EXPONENT);
+    const EXACT: bool = false;
 
     #[inline(always)]
     fn load<S: Simd>(s: S, a: &[Self], n: usize) -> Lanes<S> {
@@ -82,8 +87,8 @@ impl<const EXPONENT: i32> Format for Half<EXPONENT> {
     }
 
     #[inline(always)]
-    fn store<S: Simd>(s: S, v: Lanes<S>, a: &mut [Self], n: usize) {
-        simd::half::store(v, s, Self::peel_slice_mut(&mut a[n..n + Lanes::<S>::LEN]));
+    fn store<S: Simd>(s: S, v: Lanes<S>, a: &mut [Self], n: usize) -> Lanes<S> {
+        simd::half::store(v, s, Self::peel_slice_mut(&mut a[n..n + Lanes::<S>::LEN]))
     }
 
     #[inline(always)]

@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::air::lattice::{HeatNode, Lattice, NodeState};
+use crate::air::population::Storage;
 use crate::air::settings::{Face, LAMBDA_STILL, LatticeSettings};
 use crate::grid::Grid;
 use crate::thermal::Wall;
@@ -51,6 +52,8 @@ pub struct SimulatedAir {
     pub plume_steps: u32,
     /// Closed box with walls at ambient temperature instead of an open one.
     pub closed: bool,
+    /// Number format of the stored populations.
+    pub storage: Storage,
 }
 
 impl Default for SimulatedAir {
@@ -63,6 +66,7 @@ impl Default for SimulatedAir {
             gravity: 9.81,
             plume_steps: 0,
             closed: false,
+            storage: Storage::F32,
         }
     }
 }
@@ -90,6 +94,7 @@ impl SimulatedAir {
         let viscosity = VISCOSITY * unit * thickened;
         let mut s = LatticeSettings::new(grid.nodes, viscosity, (alpha * unit * thickened).max(LEAST_CONDUCTIVITY));
         s.flow = self.convection;
+        s.storage = self.storage;
         if !s.flow {
             s.lambda_heat = Some(LAMBDA_STILL);
         }

@@ -43,6 +43,8 @@ pub(crate) struct Context<'a> {
 pub(crate) struct Plane<'a, F, G> {
     pub(crate) f: [&'a mut [F]; 19],
     pub(crate) g: [&'a mut [G]; 7],
+    /// Resting temperature populations where the format of the others is too coarse for them; empty otherwise.
+    pub(crate) rest: &'a mut [f32],
     pub(crate) t: &'a mut [f32],
     pub(crate) u: [&'a mut [f32]; 3],
     pub(crate) solid: &'a [f32],
@@ -190,7 +192,7 @@ fn vector<S: Simd, F: Format, G: Format, const FLOW: bool, const HEAT: bool, con
     let mut g = HeatPairs { rest: zero, sum: [zero; 3], difference: [zero; 3] };
     let (mut h, mut t, mut capacity) = (zero, zero, one);
     if HEAT {
-        g.rest = G::load(s, p.g[0], n) * (1.0 / G::SCALE);
+        g.rest = if G::EXACT { G::load(s, p.g[0], n) } else { load(s, p.rest, n) };
         for q in 0..3 {
             let (a, b) = (G::load(s, p.g[2 * q + 1], at(2 * q + 1)), G::load(s, p.g[2 * q + 2], at(2 * q + 2)));
             g.sum[q] = (a + b) * (1.0 / G::SCALE);
@@ -294,11 +296,21 @@ fn vector<S: Simd, F: Format, G: Format, const FLOW: bool, const HEAT: bool, con
             g.difference = each3(|q| g.difference[q] * memory);
             counts *= memory;
         }
-        G::store(s, g.rest * G::SCALE, p.g[0], n);
+        let mut lost = zero;
         for q in 0..3 {
             let (even, turned) = (g.sum[q] * G::SCALE, g.difference[q] * (cx.sign * G::SCALE));
-            G::store(s, even - turned, p.g[2 * q + 1], at(2 * q + 1));
-            G::store(s, even + turned, p.g[2 * q + 2], at(2 * q + 2));
+            let a = G::store(s, even - turned, p.g[2 * q + 1], at(2 * q + 1));
+            let b = G::store(s, even + turned, p.g[2 * q + 2], at(2 * q + 2));
+            if !G::EXACT {
+                // Twice the sum of the pair, less what is stored of it.
+                lost += even * 2.0 - (a + b);
+            }
+        }
+        if G::EXACT {
+            G::store(s, g.rest, p.g[0], n);
+        } else {
+            // What rounding takes from those that move stays at rest: no heat is lost, however little arrives per step.
+            store::<S>(lost.mul_add(c(1.0 / G::SCALE), g.rest), p.rest, n);
         }
         let (mut low, mut high) = (t, t);
         if GENERAL {

@@ -151,3 +151,111 @@ fn the_result_does_not_depend_on_threads() {
     };
     assert_eq!(run(1), run(3));
 }
+
+#[test]
+fn a_step_in_half_precision_is_a_rounded_step_in_single_precision() {
+    let states = obstacles();
+    let settings = box_of_everything(mixed(), 0.1);
+    let mut half = Lattice::new(LatticeSettings { storage: Storage::F16, ..settings.clone() });
+    let mut single = Lattice::new(settings);
+    let mut rng = Rng::new(9);
+    let initial = start(&mut rng, 11 * 9 * 21);
+    half.set_nodes(&states);
+    half.fill(|x| initial[(x[0] * 9 + x[1]) * 21 + x[2]]);
+    for step in 0..6 {
+        assert!(single.restore(&half.save()));
+        single.set_nodes(&states);
+        half.set_nodes(&states);
+        half.step();
+        single.step();
+        let (a, b) = (half.save(), single.save());
+        let largest = b.chunks_exact(32).flat_map(|b| &b[20..26]).fold(0.0f32, |m, g| m.max(g.abs()));
+        for (n, (a, b)) in a.chunks_exact(32).zip(b.chunks_exact(32)).enumerate() {
+            for (k, (h, s)) in a[..26].iter().zip(&b[..26]).enumerate() {
+                // Half a unit of the last of 11 digits, at most two roundings (in the air and at a wall), and the smallest number.
+                let (share, least) = (1.1 / 2048.0, if k < 19 { 2f32.powi(-39) } else { 2f32.powi(-24) });
+                // At a wall the first rounding is relative to what left, up to the largest population nearby; what rests keeps
+                // the errors of the six that left.
+                let wall = if k < 19 { 0.05 } else { 0.3 } * f32::from(u8::from(on_rim(n) || near_obstacle(&states, n)));
+                let size = if k == 19 { 6.0 * largest } else { s.abs().max(wall) };
+                assert!((h - s).abs() <= share * size + least, "step {step}, node {n}, population {k}: {h:e} and {s:e}");
+            }
+        }
+    }
+}
+
+fn on_rim(n: usize) -> bool {
+    let x = [n / 21 / 9, n / 21 % 9, n % 21];
+    (0..3).any(|a| x[a] == 0 || x[a] + 1 == [11, 9, 21][a])
+}
+
+fn near_obstacle(states: &[([usize; 3], NodeState)], n: usize) -> bool {
+    let x = [n / 21 / 9, n / 21 % 9, n % 21];
+    states.iter().any(|(s, _)| (0..3).all(|a| s[a].abs_diff(x[a]) <= 1))
+}
+
+#[test]
+fn half_precision_does_not_depend_on_threads_or_restarts() {
+    let settings = LatticeSettings { storage: Storage::F16, ..box_of_everything(ROOM, 0.1) };
+    let run = |threads: usize, restart: bool| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        pool.install(|| {
+            let mut lattice = Lattice::new(settings.clone());
+            lattice.set_nodes(&obstacles());
+            for step in 0..21 {
+                if restart && step == 11 {
+                    let state = lattice.save();
+                    lattice = Lattice::new(settings.clone());
+                    assert!(lattice.restore(&state));
+                    lattice.set_nodes(&obstacles());
+                }
+                lattice.step_with(|links, flux| flux.iter_mut().zip(links).for_each(|(q, l)| *q = 1e-4 * l.other as f32));
+            }
+            lattice.save().iter().map(|v| v.to_bits()).collect::<Vec<u32>>()
+        })
+    };
+    let one = run(1, false);
+    assert!(one == run(3, false), "three threads differ from one");
+    assert!(one == run(2, true), "a restart differs");
+}
+
+/// Links bring less per step than half a digit of what they add it to; all of it must arrive nevertheless.
+#[test]
+fn small_heat_arrives_in_half_precision() {
+    let mut settings = LatticeSettings::new([12, 12, 12], 0.02, 0.02);
+    settings.storage = Storage::F16;
+    settings.faces = [[Face::WALL; 2]; 3];
+    let mut lattice = Lattice::new(settings);
+    lattice.fill(|_| (1.0, [0.0; 3], 20.0));
+    lattice.set_nodes(&[([5, 5, 5], NodeState { solid: 1.0, velocity: [0.0; 3], heat: HeatNode::Exchange(0) })]);
+    let before = lattice.total_enthalpy();
+    let mut brought = 0.0;
+    for _ in 0..500 {
+        brought += lattice.step_with(|_, flux| flux.fill(2e-4)).exchanged;
+    }
+    let gained = lattice.total_enthalpy() - before;
+    println!("brought {brought}, gained {gained}");
+    assert!((gained / brought - 1.0).abs() < 0.01, "{gained} of {brought}");
+}
+
+/// What rounding does to mass and heat of a closed box that nothing enters.
+#[test]
+fn half_precision_keeps_mass_and_heat_of_a_closed_box() {
+    for storage in [Storage::F32, Storage::F16] {
+        let mut settings = LatticeSettings::new([32, 32, 32], 0.02, 0.02);
+        settings.storage = storage;
+        settings.faces = [[Face::WALL; 2]; 3];
+        settings.buoyancy = [0.0, 0.0, 1e-4];
+        let mut lattice = Lattice::new(settings);
+        lattice.fill(|x| (1.0, [0.0; 3], if x.iter().all(|v| (8..24).contains(v)) { 20.0 } else { 0.0 }));
+        let mass = |l: &Lattice| l.every().map(|x| l.flow(x).0 - 1.0).sum::<f64>() / 32f64.powi(3);
+        let before = (mass(&lattice), lattice.total_enthalpy());
+        for _ in 0..400 {
+            lattice.step();
+        }
+        let (drift, heat) = (mass(&lattice) - before.0, lattice.total_enthalpy() / before.1 - 1.0);
+        println!("{storage:?}: mean density {drift:e}, heat {heat:e}, speed {:e}", lattice.flow([16, 16, 16]).1[2]);
+        let (dm, dh) = if storage == Storage::F32 { (1e-7, 1e-6) } else { (1e-6, 1e-6) };
+        assert!(drift.abs() < dm && heat.abs() < dh, "{storage:?}: {drift:e} {heat:e}");
+    }
+}

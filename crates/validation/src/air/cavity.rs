@@ -2,9 +2,10 @@
 
 use std::f64::consts::PI;
 
-use megas_sim::air::{Face, Lattice, LatticeSettings};
+use megas_sim::air::{Face, Lattice, LatticeSettings, Storage};
 
 use super::alone;
+use super::flow::vortices;
 use crate::{Outcome, Plot, Row};
 
 const PRANDTL: f64 = 0.71;
@@ -83,19 +84,68 @@ fn settle(lattice: &mut Lattice) -> usize {
     400 * span
 }
 
+/// A square cavity after `steps`, or at rest.
+fn settled(p: &Published, storage: Storage, steps: Option<usize>) -> (Lattice, usize) {
+    let n = p.nodes;
+    let mut s = LatticeSettings { storage, ..convection([n, 1, n], n as f64, p.ra, 0.1) };
+    s.faces = [[Face::fixed(0.5), Face::fixed(-0.5)], [Face::PERIODIC; 2], [Face::WALL; 2]];
+    alone(|| {
+        let mut lattice = Lattice::new(s);
+        lattice.fill(|x| (1.0, [0.0; 3], 0.5 - (x[0] as f64 + 0.5) / n as f64));
+        let steps = match steps {
+            None => settle(&mut lattice),
+            Some(steps) => {
+                (0..steps).for_each(|_| _ = lattice.step());
+                steps
+            }
+        };
+        (lattice, steps)
+    })
+}
+
+/// V22 and V19 again, with populations in half precision.
+pub fn half() -> Outcome {
+    let mut rows = Vec::new();
+    let mut notes = Vec::new();
+    let last = |h: &[[f64; 2]]| h.last().map_or(f64::NAN, |p| p[1]);
+    for n in [64, 128] {
+        let ((single, _), (half, drift)) = (vortices(n, Storage::F32), vortices(n, Storage::F16));
+        rows.push(Row::relative(format!("vortices, N = {n}: E/E₀ against single precision"), last(&single), last(&half), 0.003));
+        rows.push(Row::new(format!("vortices, N = {n}: change of the mean density"), 0.0, drift, 1e-6));
+    }
+    for p in &TABLE[..2] {
+        let (single, steps) = settled(p, Storage::F32, None);
+        let (half, _) = settled(p, Storage::F16, Some(steps));
+        let n = p.nodes;
+        let label = format!("Ra = 10^{}", p.ra.log10().round());
+        let local = |l: &Lattice| -> Vec<f64> { (0..n).map(|z| wall_nusselt(l, n as f64, 0, z)).collect() };
+        let mean = |l: &Lattice| local(l).iter().sum::<f64>() / n as f64;
+        let mass = |l: &Lattice| {
+            let nodes = (0..n).flat_map(|x| (0..n).map(move |z| [x, 0, z]));
+            nodes.map(|x| l.flow(x).0 - 1.0).sum::<f64>() / (n * n) as f64
+        };
+        rows.push(Row::relative(format!("{label}: Nu of the volume, published"), p.nu, volume_nusselt(&half), 0.01));
+        rows.push(Row::relative(format!("{label}: the same in single precision"), volume_nusselt(&single), volume_nusselt(&half), 0.002));
+        rows.push(Row::relative(format!("{label}: Nu of the hot wall, published"), p.nu, mean(&half), 0.01));
+        rows.push(Row::relative(format!("{label}: the same in single precision"), mean(&single), mean(&half), 0.002));
+        rows.push(Row::relative(
+            format!("{label}: largest local Nu in single precision"),
+            peak(&local(&single)).0,
+            peak(&local(&half)).0,
+            0.005,
+        ));
+        rows.push(Row::new(format!("{label}: change of the mean density"), 0.0, mass(&half), 1e-4));
+        notes.push(format!("{label}: {steps} steps; mean density changed by {:.1e} in single precision", mass(&single)));
+    }
+    notes.into_iter().fold(Outcome::from(rows), Outcome::note)
+}
+
 fn square(cases: &[Published]) -> Outcome {
     let mut outcome = Outcome::default();
     for p in cases {
         let n = p.nodes;
-        let mut s = convection([n, 1, n], n as f64, p.ra, 0.1);
-        s.faces = [[Face::fixed(0.5), Face::fixed(-0.5)], [Face::PERIODIC; 2], [Face::WALL; 2]];
-        let (lattice, steps) = alone(|| {
-            let mut lattice = Lattice::new(s.clone());
-            lattice.fill(|x| (1.0, [0.0; 3], 0.5 - (x[0] as f64 + 0.5) / n as f64));
-            let steps = settle(&mut lattice);
-            (lattice, steps)
-        });
-        let unit = n as f64 / s.diffusivity;
+        let (lattice, steps) = settled(p, Storage::F32, None);
+        let unit = n as f64 / lattice.settings().diffusivity;
         let h = n / 2;
         let mean = |a, b, axis: usize| 0.5 * unit * (lattice.macroscopic(a).1[axis] + lattice.macroscopic(b).1[axis]);
         let u: Vec<f64> = (0..n).map(|z| mean([h - 1, 0, z], [h, 0, z], 0)).collect();
