@@ -1,9 +1,11 @@
 //! Number formats of stored populations: `f32`, or half precision with a scale.
 //!
-//! The collision is always done in `f32`. A half holds 11 significant bits between 2⁻¹⁴ and 2¹⁶, so what is stored is the deviation
-//! from rest times a power of two, which costs nothing and loses nothing: rounding errors then stay relative to the
-//! deviation down to the scale of interest (Lehmann et al. 2022, Phys. Rev. E 106, 015308). A sum of populations keeps rounding
-//! errors of 2⁻¹² of each, at random signs.
+//! The collision is always done in `f32`. A half holds 11 significant bits between 2⁻¹⁴ and 2¹⁶, so what is stored is the
+//! deviation from rest times a power of two, which costs nothing and loses nothing: rounding errors then stay relative to the
+//! deviation down to the scale of interest (Lehmann et al. 2022, Phys. Rev. E 106, 015308).
+//!
+//! Temperature populations that rest are kept in `f32` all the same, and take up what rounding takes from the six that move. So heat
+//! is conserved as in single precision, and a heat that is smaller per step than the last digit of what it is added to arrives.
 
 use bytemuck::TransparentWrapper;
 use fearless_simd::{Simd, SimdBase};
@@ -17,7 +19,8 @@ pub enum Storage {
     /// Single precision.
     #[default]
     F32,
-    /// Half precision: half the memory, errors of 2⁻¹² of the deviation from rest per step.
+    /// Half precision: half the memory, errors of up to 2⁻¹¹ of the deviation from rest per step. Heat through faces with a
+    /// [`crate::air::HeatFace::Flux`] is lost where it is smaller than that.
     F16,
 }
 
