@@ -1,6 +1,7 @@
 //! C1: the whole simulator (mechanics, heat, film air, phases, checks) on a torus of soft wax that melts on a floor.
 
 use megas_model::{FLAG_INTERNAL, Points};
+use megas_sim::air::SimulatedAir;
 use megas_sim::collider::{Collider, Shape, Thermal};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
@@ -23,9 +24,21 @@ pub struct Args {
     /// Frames of 1/24 s to measure, after one to warm up
     #[arg(long, default_value_t = 4)]
     frames: u32,
+    /// What surrounds the torus: a film, or simulated air of which the box is full
+    #[arg(long, value_enum, default_value = "film")]
+    air: Air,
+    /// Number format of simulated air
+    #[arg(long, value_enum, default_value = "f32")]
+    storage: crate::lattice::Format,
     /// Threads
     #[arg(long, default_value_t = 1)]
     threads: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
+enum Air {
+    Film,
+    Lbm,
 }
 
 /// Length of the torus \[m\].
@@ -99,6 +112,17 @@ fn measure(args: &Args) -> serde_json::Value {
         ..Collider::new(Shape::HalfSpace { point: [0.0, 0.0, floor * spacing], normal: [0.0, 0.0, 1.0] })
     };
     let film = Film { ambient: 350.0, coefficient: 10.0, emissivity: 0.9 };
+    let air = match args.air {
+        Air::Film => AirModel::Film(film),
+        // The settings that a scene file gets: a film where the boundary layer is thinner than a cell, radiation.
+        Air::Lbm => AirModel::Simulated(SimulatedAir {
+            wall_film: film.coefficient,
+            emissivity: film.emissivity,
+            temperature_difference: 60.0,
+            storage: args.storage.storage(),
+            ..SimulatedAir::default()
+        }),
+    };
     let config = SolverConfig {
         grid,
         materials: vec![wax()],
@@ -106,7 +130,7 @@ fn measure(args: &Args) -> serde_json::Value {
         colliders: vec![table],
         gravity: [0.0, 0.0, -9.81],
         ambient: 293.15,
-        thermal: ThermalOptions { air: AirModel::Film(film), ..ThermalOptions::default() },
+        thermal: ThermalOptions { air, ..ThermalOptions::default() },
         phase: PhaseOptions::default(),
         frame_dt: 1.0 / 24.0,
         coupling_step: 2e-3,
@@ -134,6 +158,7 @@ fn measure(args: &Args) -> serde_json::Value {
     let substeps = solver.totals().substeps as f64 / f64::from(args.frames + 1);
     serde_json::json!({
         "scene": "c1", "points": n, "cells": args.cells, "nodes": nodes, "threads": args.threads,
+        "air": format!("{:?}", args.air).to_lowercase(), "storage": format!("{:?}", args.storage).to_lowercase(),
         "substeps_per_s": substeps * 24.0,
         "core_s_per_frame": per_frame,
         "core_s_per_s": per_frame * 24.0,

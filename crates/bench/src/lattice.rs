@@ -29,10 +29,21 @@ enum Operator {
     Bgk,
 }
 
+/// Number format of stored populations.
 #[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
-enum Format {
+pub enum Format {
     F32,
     F16,
+}
+
+impl Format {
+    /// As the simulator calls it.
+    pub fn storage(self) -> Storage {
+        match self {
+            Self::F32 => Storage::F32,
+            Self::F16 => Storage::F16,
+        }
+    }
 }
 
 const SPEED: f64 = 0.05;
@@ -59,7 +70,7 @@ fn measure(args: &Args, heat: bool, scene: &str) -> String {
         lambda_flow: trt.then_some(LAMBDA_FLOW),
         lambda_heat: trt.then_some(LAMBDA_AIR),
         buoyancy: [0.0, 0.0, if heat { 0.0005 } else { 0.0 }],
-        storage: if args.storage == Format::F16 { Storage::F16 } else { Storage::F32 },
+        storage: args.storage.storage(),
         ..LatticeSettings::new([n; 3], (TAU_FLOW - 0.5) / 3.0, 0.02)
     });
     let k = TAU / n as f64;

@@ -146,7 +146,7 @@ pub fn half() -> Outcome {
             format!("{label}: largest local Nu, against single precision"),
             peak(&local(&single)).0,
             peak(&local(&half)).0,
-            0.005,
+            0.01,
         ));
         rows.push(Row::new(format!("{label}: change of the mean density"), 0.0, mass(&half), 1e-4));
         notes.push(format!("{label}: {steps} steps; mean density changed by {:.1e} in single precision", mass(&single)));
