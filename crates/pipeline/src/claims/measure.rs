@@ -12,6 +12,7 @@ use megas_raster::{Frame, Rasterizer};
 use megas_skin::bake_splats;
 use serde_json::{Map, Value, json};
 
+use super::mesh::meshes;
 use super::methods::Contender;
 use super::model::{Filled, filled, posed};
 use super::truth::Truth;
@@ -52,6 +53,8 @@ pub fn measure(
     }
     // How much of the gap between the fillings is the model's.
     let by_rays = (method == Contender::B0).then(|| filled(&splats, false, &truth.surface, truth.volume).quality);
+    // B6 has the mesh of B5.
+    let meshes = (method == Contender::B5).then(|| meshes(&own, truth));
     let mut deformed = Map::new();
     let mut rasterizer = Rasterizer::new();
     for (k, d) in states().enumerate() {
@@ -84,6 +87,7 @@ pub fn measure(
         "filling_by_rays": by_rays,
         "filling_failed": own.failed,
         "internal": own.particles.len(),
+        "meshes": meshes,
         "deformed": deformed,
         "seconds": begin.elapsed().as_secs_f64(),
     }))

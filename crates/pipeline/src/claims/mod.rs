@@ -4,6 +4,7 @@
 //! own in `DIR`, so that a study that was stopped goes on; tables and sheet are written anew after each.
 
 mod measure;
+mod mesh;
 mod methods;
 mod model;
 mod orderings;

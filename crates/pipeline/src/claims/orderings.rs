@@ -11,6 +11,8 @@ const CRACKS: f64 = 0.01;
 const CRACKS_SHARE: f64 = 0.25;
 /// Gain over plain splatting \[dB\].
 const GAIN: f64 = 3.0;
+/// Distance of meshes from the true surface \[L\].
+const CHAMFER: f64 = 0.003;
 /// The filling.
 const IOU: f64 = 0.9;
 const HOLLOW: f64 = 0.02;
@@ -19,6 +21,10 @@ const BASELINE_HOLLOW: f64 = 0.5;
 
 fn percent(x: f64) -> String {
     format!("{:.2} %", 100.0 * x)
+}
+
+fn millionths(x: f64) -> String {
+    format!("{:.2} ppm", 1e6 * x)
 }
 
 fn decibel(x: f64) -> String {
@@ -67,7 +73,7 @@ pub fn checks(r: &Results) -> Vec<Check> {
     }
     for d in SHAPED {
         chain(&format!("{} PSNR", d.id()), decibel, &|m| r.psnr(m, d), &order, true);
-        chain(&format!("{} spill", d.id()), percent, &|m| r.cracks(m, d, "spill"), &order, false);
+        chain(&format!("{} spill", d.id()), millionths, &|m| r.cracks(m, d, "spill"), &order, false);
     }
     let mut say = |claim: String, holds: bool, numbers: String| out.push(Check { asset: r.name.clone(), claim, holds, numbers });
     for d in SHAPED {
@@ -79,6 +85,9 @@ pub fn checks(r: &Results) -> Vec<Check> {
     if let (Some(iou), Some(hollow)) = (r.filling(B5, "iou"), r.filling(B5, "hollow")) {
         say(format!("filling: IoU at least {IOU}"), iou >= IOU, format!("{iou:.3}"));
         say(format!("filling: hollow at most {}", percent(HOLLOW)), hollow <= HOLLOW, percent(hollow));
+    }
+    if let Some(chamfer) = r.mean(B5, "/meshes/skin/chamfer") {
+        say(format!("mesh at rest: Chamfer at most {} L", percent(CHAMFER)), chamfer <= CHAMFER, percent(chamfer));
     }
     if let Some(hollow) = r.filling(A1, "hollow") {
         say(

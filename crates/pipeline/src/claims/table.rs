@@ -9,6 +9,11 @@ use super::measure::states;
 use super::methods::Contender;
 use crate::study::Check;
 
+/// In a cell without a figure.
+const NOTHING: &str = "–";
+/// Where a model's mesh is judged.
+const MESH: &str = "/meshes/skin/chamfer";
+
 /// Figures of every method on an object; several where there are several trainings.
 #[derive(Clone, Debug, Default)]
 pub struct Results {
@@ -72,7 +77,7 @@ impl Results {
                 ("Crack fraction (M6)", "cracks/crack_fraction", percent),
                 ("Crack fraction off occluding contours", "cracks/off_contours", percent),
                 ("Front deficit (M6)", "cracks/front_deficit", percent),
-                ("Spill (M6)", "cracks/spill", percent),
+                ("Spill (M6) in parts per million", "cracks/spill", millionths),
                 ("PSNR in dB (M7)", "fidelity/picture/psnr", two),
                 ("PSNR inside the silhouette in dB (M7)", "fidelity/psnr_inside", two),
                 ("S¹/S² p99 (M2b)", "needle_p99", two),
@@ -107,6 +112,7 @@ impl Results {
         {
             let _ = writeln!(out, "B0 filled by rays: IoU {iou:.3}, hollow {}.\n", percent(hollow));
         }
+        self.meshes(&mut out);
         out.push_str("## Orderings\n\n| claim | holds | numbers |\n| --- | --- | --- |\n");
         for c in checks {
             let _ = writeln!(out, "| {} | {} | {} |", c.claim, if c.holds { "yes" } else { "**no**" }, c.numbers);
@@ -118,9 +124,40 @@ impl Results {
         let names: Vec<&str> = columns.iter().map(|c| c.0.as_str()).collect();
         let _ = writeln!(out, "| method | {} |\n| --- |{}", names.join(" | "), " ---: |".repeat(columns.len()));
         for (m, runs) in &self.rows {
-            let cells: Vec<String> = columns.iter().map(|(_, pointer, show)| self.mean(*m, pointer).map_or("–".to_owned(), show)).collect();
+            let cells: Vec<String> =
+                columns.iter().map(|(_, pointer, show)| self.mean(*m, pointer).map_or(NOTHING.to_owned(), show)).collect();
             let seeds = if runs.len() > 1 { format!(" × {}", runs.len()) } else { String::new() };
             let _ = writeln!(out, "| {} {}{seeds} | {} |", m.id(), m.name(), cells.join(" | "));
+        }
+        out.push('\n');
+    }
+
+    /// Meshes of the models that have them.
+    fn meshes(&self, out: &mut String) {
+        let kinds = [("skin", "shaped by the splats, closed by the particles"), ("particles", "particles alone")];
+        let columns: [(&str, &str, fn(f64) -> String); 7] = [
+            ("Chamfer / L", "chamfer", percent),
+            ("p95 / L", "p95", percent),
+            ("Hausdorff / L", "hausdorff", percent),
+            ("normals, mean °", "normal_mean_deg", two),
+            ("volume error", "volume_error", percent),
+            ("roughness, rad/L", "roughness", one),
+            ("triangles", "triangles", whole),
+        ];
+        let with_meshes: Vec<&(Contender, Vec<Value>)> = self.rows.iter().filter(|r| self.mean(r.0, MESH).is_some()).collect();
+        if with_meshes.is_empty() {
+            return;
+        }
+        let names = columns.map(|c| c.0).join(" | ");
+        let _ =
+            writeln!(out, "## Meshes at rest (M10)\n\n| mesh | {names} | watertight |\n| --- |{} --- |", " ---: |".repeat(columns.len()));
+        for (m, runs) in with_meshes {
+            for (kind, words) in kinds {
+                let at = |key: &str| format!("/meshes/{kind}/{key}");
+                let cells = columns.map(|(_, key, show)| self.mean(*m, &at(key)).map_or(NOTHING.to_owned(), show));
+                let closed = runs.iter().filter_map(|f| f.pointer(&at("watertight"))?.as_bool()).all(|w| w);
+                let _ = writeln!(out, "| {}, {words} | {} | {} |", m.id(), cells.join(" | "), if closed { "yes" } else { "**no**" });
+            }
         }
         out.push('\n');
     }
@@ -157,8 +194,13 @@ impl Results {
                 "iou": self.filling(m, "iou"), "hollow": self.filling(m, "hollow"), "false_fill": self.filling(m, "false_fill"),
                 "volume_error": self.filling(m, "volume_error"),
             },
+            "m10_chamfer": self.mean(m, MESH),
         })
     }
+}
+
+fn one(x: f64) -> String {
+    format!("{x:.1}")
 }
 
 fn two(x: f64) -> String {
@@ -177,8 +219,13 @@ fn whole(x: f64) -> String {
     format!("{x:.0}")
 }
 
+fn millionths(x: f64) -> String {
+    format!("{:.1}", 1e6 * x)
+}
+
 fn percent(x: f64) -> String {
-    format!("{:.2} %", 100.0 * x)
+    // An empty sum of floats is −0.
+    format!("{:.2} %", 100.0 * x + 0.0)
 }
 
 #[cfg(test)]
@@ -213,6 +260,11 @@ mod tests {
         assert!(failed.iter().any(|l| l.contains("a quarter of B5")) && failed.iter().any(|l| l.contains("B0 + 3 dB")), "{failed:?}");
         let text = r.to_markdown(&all, &json!({}));
         assert!(text.contains("| B0 vanilla × 2 |") && text.contains("30.00 %"), "{text}");
+        assert!(!text.contains("## Meshes"), "{text}");
+        r.rows[1].1[0]["meshes"] =
+            json!({ "skin": { "chamfer": 0.002, "watertight": true }, "particles": { "chamfer": 0.004, "watertight": false } });
+        let text = r.to_markdown(&checks(&r), &json!({}));
+        assert!(text.contains("the particles | 0.20 % |") && text.contains("| **no** |"), "{text}");
         assert_eq!(r.to_json()["B6"]["m6_crack_fraction"]["D5"], json!(0.03));
     }
 }

@@ -39,7 +39,8 @@ const NEIGHBOURS: usize = 8;
 pub struct Truth {
     /// Frame and sizes of the deformations.
     pub stage: Stage,
-    /// The surface as delivered.
+    /// The surface as delivered, and prepared for distances.
+    pub delivered: Mesh,
     pub surface: MeshDistance,
     /// Its volume.
     pub volume: f64,
@@ -80,7 +81,18 @@ impl Truth {
             psnr(&view.image, &over(p, [1.0; 3]), None)
         };
         let psnr = test.iter().map(compare).sum::<f64>() / test.len().max(1) as f64;
-        Ok(Self { stage, surface, volume: volume(&rough), photographed, psnr, mesh, inside, views, states: BTreeMap::new() })
+        Ok(Self {
+            stage,
+            surface,
+            volume: volume(&rough),
+            delivered: rough,
+            photographed,
+            psnr,
+            mesh,
+            inside,
+            views,
+            states: BTreeMap::new(),
+        })
     }
 
     /// The object after a deformation; it is made when first asked for.
