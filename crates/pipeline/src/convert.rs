@@ -387,6 +387,9 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
             }
         }
     }
+    remarks.extend(crate::gaps::remarks(&bodies.points, meta.dx_m, |number| {
+        meta.objects.iter().find(|o| o.number == number).map_or_else(|| number.to_string(), |o| o.name.clone())
+    }));
     let names: HashMap<String, u16> = meta.objects.iter().map(|o| (o.name.clone(), o.number)).collect();
     let volume: f64 = meta.objects.iter().map(|o| o.volume_m3).sum();
     let hottest = materials.iter().map(ResolvedMaterial::melting_point).filter(|t| t.is_finite()).fold(scene.ambient_k(), f64::max);

@@ -12,6 +12,7 @@ mod convert;
 mod demo;
 mod disk;
 mod figure;
+mod gaps;
 mod inspect;
 mod mesh_splats;
 mod meshes;

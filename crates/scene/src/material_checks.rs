@@ -23,6 +23,9 @@ pub struct StepLimits {
 /// The largest number of substeps in one coupling step (simulation.md §2.5).
 const MAX_SUBSTEPS: f64 = 2000.0;
 
+/// Thickness over the object's height at which a melt still has to flow at its own speed.
+const LAYER: f64 = 0.25;
+
 /// What the checks found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MaterialReport {
@@ -89,7 +92,7 @@ impl ResolvedMaterial {
             ));
         }
         if self.solidus.is_finite() && weight > 0.0 {
-            self.check_melt(limits, yield_number, &mut messages);
+            self.check_melt(limits, yield_number, substep, &mut messages);
         }
         if weight > self.solid_yield_stress {
             let text = format!(
@@ -115,7 +118,7 @@ impl ResolvedMaterial {
         }
     }
 
-    fn check_melt(&self, limits: &StepLimits, yield_number: f64, messages: &mut Vec<(Severity, String)>) {
+    fn check_melt(&self, limits: &StepLimits, yield_number: f64, substep: f64, messages: &mut Vec<(Severity, String)>) {
         let name = &self.name;
         if yield_number > 0.5 {
             let text = format!(
@@ -140,6 +143,21 @@ impl ResolvedMaterial {
                 "{name}: the melt's shear modulus {:.3e} Pa is below 10 × its flow stress {stress:.3e} Pa: it will look rubbery and \
                  flow too easily; stiffen it (smaller sag_ratio) or thin the melt (melt_consistency_pa_sn)",
                 self.melt_shear_modulus
+            );
+            messages.push((Severity::Warning, text));
+        }
+        // Every substep smooths velocities: a layer of N cells on a sticky floor keeps 90 % of its speed from a viscosity of
+        // 0.2 ρ Δx²/(N Δt_m) on, which is 0.5 ρ c Δx/N at the usual Courant number (docs/validation.md, slow melts).
+        let viscosity = stress / (std::f64::consts::SQRT_2 * rate);
+        let cells = 0.2 * self.density * limits.dx_m.powi(2) / (substep * viscosity);
+        let layer = LAYER * limits.object_height_m / limits.dx_m;
+        if cells > layer {
+            let text = format!(
+                "{name}: the melt is too thin for the grid: at {viscosity:.2} Pa·s it flows at less than 90 % of its speed where it lies \
+                 thinner than {:.1} mm ({cells:.0} cells), and a layer of {layer:.0} cells would need {:.1} Pa·s; use more cells, \
+                 softer solids (larger sag_ratio) or a thicker melt (melt_consistency_pa_sn)",
+                1e3 * cells * limits.dx_m,
+                viscosity * cells / layer,
             );
             messages.push((Severity::Warning, text));
         }
@@ -191,6 +209,12 @@ mod tests {
         assert!(stiff.messages.iter().any(|(s, m)| *s == Severity::Warning && m.contains("will not slump")));
         let thick = report(MaterialSpec { melt_consistency_pa_sn: Some(1e5), ..Default::default() }, 0.2);
         assert!(thick.messages.iter().any(|(_, m)| m.contains("rubbery")));
+        // At a rate of 9.9/s: 20/9.9 + 0.5 Pa·s, where a quarter of the height would need 4.
+        let thin = report(MaterialSpec { melt_consistency_pa_sn: Some(0.5), ..Default::default() }, 0.2);
+        assert!(
+            thin.messages.iter().any(|(s, m)| *s == Severity::Warning && m.contains("too thin for the grid: at 2.52 Pa·s")),
+            "{thin:?}"
+        );
         let water = report(MaterialSpec::from_preset("water-ice"), 0.2);
         assert!(water.messages.iter().any(|(s, m)| *s == Severity::Note && m.contains("like water")));
         let steel = report(MaterialSpec { youngs_modulus_pa: Some(1e10), ..Default::default() }, 0.02);
