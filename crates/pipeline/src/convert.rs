@@ -365,7 +365,7 @@ pub struct Prepared {
     /// Time to melt at nature's pace \[s\]; infinite if nothing melts.
     pub melt_time: f64,
     /// Remarks of the material checks.
-    pub remarks: Vec<String>,
+    pub remarks: Vec<(Severity, String)>,
 }
 
 /// The simulator's configuration of a scene with built bodies.
@@ -382,8 +382,8 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
         for (severity, text) in m.check(&limits).messages {
             match severity {
                 Severity::Error => return Err(Failure::Input(text)),
-                _ if remarks.contains(&text) => {}
-                _ => remarks.push(text),
+                _ if remarks.iter().any(|(_, t)| *t == text) => {}
+                _ => remarks.push((severity, text)),
             }
         }
     }
@@ -415,7 +415,7 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
         HeatTransfer::Pic => Transfer::PicOverwrite,
     };
     let colliders = crate::colliders::colliders(scene, bodies, &meshes)?;
-    remarks.append(&mut meshes.remarks.borrow_mut());
+    remarks.extend(meshes.remarks.borrow_mut().drain(..).map(|text| (Severity::Warning, text)));
     let mut config = SolverConfig {
         grid,
         materials: materials.iter().map(sim_material).collect::<Result<_, _>>()?,

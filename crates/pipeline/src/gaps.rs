@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use megas_model::Points;
+use megas_scene::Severity;
 
 /// Clearance in grid cells below which two objects weld at the start (`object_gap` of simulation.md §6.3).
 const OBJECT_GAP: f64 = 1.5;
@@ -70,8 +71,13 @@ pub(crate) fn gaps(points: &Points, reach: f64) -> BTreeMap<(u16, u16), Gap> {
     out
 }
 
-/// Warnings about objects that start in each other or too close, with numbers and what to do.
-pub(crate) fn remarks(points: &Points, dx: f64, name: impl Fn(u16) -> String) -> Vec<String> {
+/// Share of an object's points in another one from which on somebody has put it there by mistake. Things that were photographed standing
+/// on each other share a few.
+const MISPLACED: f64 = 0.05;
+
+/// Remarks about objects that start in each other or too close, with numbers and what to do: a warning where much of one lies in the
+/// other, a note where they touch, as things that stand on each other do.
+pub(crate) fn remarks(points: &Points, dx: f64, name: impl Fn(u16) -> String) -> Vec<(Severity, String)> {
     gaps(points, OBJECT_GAP * dx)
         .into_iter()
         .map(|((a, b), gap)| {
@@ -79,22 +85,26 @@ pub(crate) fn remarks(points: &Points, dx: f64, name: impl Fn(u16) -> String) ->
             let [i, j] = gap.inside;
             if i + j > 0 {
                 let total = |o: u16| points.object.iter().filter(|p| **p == o).count() as f64;
-                format!(
+                let share = (f64::from(i) / total(a)).max(f64::from(j) / total(b));
+                let severity = if share > MISPLACED { Severity::Warning } else { Severity::Note };
+                let text = format!(
                     "objects {first:?} and {second:?} start inside each other: {i} points of {first:?} ({:.1} %) and {j} of {second:?} ({:.1} %) share their \
                      place; matter is counted twice there and they stick together; move \
                      one of them by {:.1} mm or more",
                     100.0 * f64::from(i) / total(a),
                     100.0 * f64::from(j) / total(b),
                     1e3 * (OBJECT_GAP * dx - gap.clearance_m),
-                )
+                );
+                (severity, text)
             } else {
-                format!(
+                let text = format!(
                     "objects {first:?} and {second:?} start {:.1} mm apart ({:.1} grid cells), less than {OBJECT_GAP} cells: they share grid nodes and \
                      stick together from the start; unless they are meant to, move them apart by {:.1} mm or use more cells",
                     1e3 * gap.clearance_m.max(0.0),
                     (gap.clearance_m / dx).max(0.0),
                     1e3 * (OBJECT_GAP * dx - gap.clearance_m),
-                )
+                );
+                (Severity::Note, text)
             }
         })
         .collect()
@@ -133,14 +143,16 @@ mod tests {
         // Two of eight layers lie in the other cube.
         let g = gaps(&cubes(-2e-3), 3e-3)[&(1, 2)];
         assert_eq!(g.inside, [128, 128]);
-        let text = remarks(&cubes(-2e-3), 2e-3, |o| format!("cube {o}")).join("");
+        let (severity, text) = remarks(&cubes(-2e-3), 2e-3, |o| format!("cube {o}")).remove(0);
+        assert_eq!(severity, Severity::Warning);
         assert!(text.contains("128 points of \"cube 1\" (25.0 %)"), "{text}");
     }
 
     #[test]
     fn remarks_say_how_far() {
-        let text = remarks(&cubes(1e-3), 2e-3, |o| format!("cube {o}")).join("");
+        let (severity, text) = remarks(&cubes(1e-3), 2e-3, |o| format!("cube {o}")).remove(0);
+        assert_eq!(severity, Severity::Note);
         assert!(text.contains("start 1.0 mm apart (0.5 grid cells)") && text.contains("apart by 2.0 mm"), "{text}");
-        assert_eq!(remarks(&cubes(1e-3), 0.5e-3, |o| o.to_string()), Vec::<String>::new());
+        assert!(remarks(&cubes(1e-3), 0.5e-3, |o| o.to_string()).is_empty());
     }
 }

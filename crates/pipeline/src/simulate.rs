@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use megas_model::{FLAG_SPLAT, PointFrame};
+use megas_scene::Severity;
 use megas_sim::solver::{Checkpoint, FrameReport, SimError, Solver, Totals, repaired};
 use serde_json::{Value, json};
 
@@ -31,8 +32,8 @@ pub fn frames(loaded: &LoadedScene) -> u64 {
 /// Runs or continues the simulation and returns its figures.
 pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: Found, sink: &dyn Sink) -> Result<Value, Failure> {
     let Prepared { config, acceleration, melt_time, remarks } = prepare(loaded, bodies)?;
-    for r in &remarks {
-        sink.event(Event::Warning(r));
+    for (severity, text) in &remarks {
+        sink.event(if *severity == Severity::Note { Event::Note(text) } else { Event::Warning(text) });
     }
     if melt_time.is_finite() {
         sink.event(Event::Note(&format!(

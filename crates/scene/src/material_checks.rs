@@ -159,7 +159,8 @@ impl ResolvedMaterial {
                 1e3 * cells * limits.dx_m,
                 viscosity * cells / layer,
             );
-            messages.push((Severity::Warning, text));
+            // True of most previews; who measures wants to know.
+            messages.push((Severity::Note, text));
         }
     }
 }
@@ -211,10 +212,7 @@ mod tests {
         assert!(thick.messages.iter().any(|(_, m)| m.contains("rubbery")));
         // At a rate of 9.9/s: 20/9.9 + 0.5 Pa·s, where a quarter of the height would need 4.
         let thin = report(MaterialSpec { melt_consistency_pa_sn: Some(0.5), ..Default::default() }, 0.2);
-        assert!(
-            thin.messages.iter().any(|(s, m)| *s == Severity::Warning && m.contains("too thin for the grid: at 2.52 Pa·s")),
-            "{thin:?}"
-        );
+        assert!(thin.messages.iter().any(|(s, m)| *s == Severity::Note && m.contains("too thin for the grid: at 2.52 Pa·s")), "{thin:?}");
         let water = report(MaterialSpec::from_preset("water-ice"), 0.2);
         assert!(water.messages.iter().any(|(s, m)| *s == Severity::Note && m.contains("like water")));
         let steel = report(MaterialSpec { youngs_modulus_pa: Some(1e10), ..Default::default() }, 0.02);
