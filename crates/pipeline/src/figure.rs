@@ -4,7 +4,7 @@
 mod compose;
 mod variant;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use megas_scene::{Film, Scene};
@@ -166,9 +166,4 @@ fn names() -> String {
 
 fn built_in(name: &str) -> Option<&'static BuiltIn> {
     FIGURES.iter().find(|f| f.name == name)
-}
-
-/// The folder that relative paths in a figure's file start from.
-fn folder_of(file: &Path) -> PathBuf {
-    file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf()
 }

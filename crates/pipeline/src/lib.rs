@@ -141,7 +141,11 @@ impl LoadedScene {
         let text = Scene::read(path).map_err(|e| Failure::Input(e.to_string()))?;
         let name = path.display().to_string();
         let scene = Scene::parse(&text, &name).map_err(|e| Failure::Input(e.to_string()))?;
-        let base_dir = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
-        Ok(Self { scene, base_dir, text })
+        Ok(Self { scene, base_dir: folder_of(path), text })
     }
+}
+
+/// The folder that relative paths in a file start from.
+pub(crate) fn folder_of(file: &Path) -> PathBuf {
+    file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf()
 }

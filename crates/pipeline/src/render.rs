@@ -85,10 +85,13 @@ pub fn render(
     let first =
         (0..total).find(|&k| !studio.missing(&stage.path, k).is_empty() || wants_ply(k).is_some() || mesh(k, &meshes)).unwrap_or(total);
     studio.skin.resume(&stage.path, first);
-    let begin = match first {
-        k if k == total || scene.skin.draw != Draw::Splats => first,
-        _ => studio.skin.next(),
+    // Meshes are made anew in every frame: with the skin, or of the particles alone.
+    let mesh_only = match scene.skin.draw {
+        Draw::Splats => None,
+        Draw::Mesh => Some(true),
+        Draw::ParticleMesh => Some(false),
     };
+    let begin = if first == total || mesh_only.is_some() { first } else { studio.skin.next() };
     for k in begin..total {
         if sink.cancelled() {
             return Err(Failure::Interrupted(format!("stopped at picture {k} of {total}; run the same command again to continue")));
@@ -101,11 +104,6 @@ pub fn render(
         let ply = wants_ply(k);
         let viewers: Vec<Camera> = (0..studio.paths.len()).map(|c| studio.view(c, k)).collect();
         let drawn = !wanted.is_empty() || ply.is_some();
-        let mesh_only = match scene.skin.draw {
-            Draw::Splats => None,
-            Draw::Mesh => Some(true),
-            Draw::ParticleMesh => Some(false),
-        };
         match mesh_only {
             None => {
                 studio.skin.frame(&points, &viewers, drawn, &mut posed);

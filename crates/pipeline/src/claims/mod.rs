@@ -27,7 +27,7 @@ use crate::study::{Asset, Check, Row, StudyJob};
 use crate::{Event, Failure, Sink};
 
 pub use methods::Contender;
-pub(crate) use sheet::captioned;
+pub(crate) use sheet::{captioned, place};
 use table::Results;
 use truth::Truth;
 

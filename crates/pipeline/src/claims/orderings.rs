@@ -3,7 +3,7 @@
 use megas_metrics::deform::Deformation;
 
 use super::methods::{Contender, EXTREME, SHAPED};
-use super::table::Results;
+use super::table::{Results, percent};
 use crate::study::Check;
 
 /// Most cracks of the full method, and most of those without its inside.
@@ -18,10 +18,6 @@ const IOU: f64 = 0.9;
 const HOLLOW: f64 = 0.02;
 /// What a density field leaves hollow in a model that is only a skin.
 const BASELINE_HOLLOW: f64 = 0.5;
-
-fn percent(x: f64) -> String {
-    format!("{:.2} %", 100.0 * x)
-}
 
 fn millionths(x: f64) -> String {
     format!("{:.2} ppm", 1e6 * x)

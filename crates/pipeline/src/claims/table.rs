@@ -223,7 +223,7 @@ fn millionths(x: f64) -> String {
     format!("{:.1}", 1e6 * x)
 }
 
-fn percent(x: f64) -> String {
+pub fn percent(x: f64) -> String {
     // An empty sum of floats is −0.
     format!("{:.2} %", 100.0 * x + 0.0)
 }

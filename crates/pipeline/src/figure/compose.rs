@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use megas_film::{Mp4Writer, write_png};
+use megas_metrics::consistency::second_difference;
 use megas_model::Image;
 
-use crate::claims::captioned;
+use crate::claims::{captioned, place};
 use crate::render::{picture_path, read_png};
 use crate::{Event, Failure, Sink};
 
@@ -43,7 +44,8 @@ impl Film<'_> {
         let fail = |e: megas_film::FilmError| Failure::Input(e.to_string());
         sink.event(Event::Stage { name: "encode", steps: self.frames });
         let mut writer = None;
-        let mut past: [Option<Vec<Image>>; 2] = [None, None];
+        // The last three pictures of every variant.
+        let mut recent: Vec<Vec<Image>> = vec![Vec::new(); self.folders.len()];
         let mut sums = vec![0.0; self.folders.len()];
         for k in 0..self.frames {
             let now = self.pictures(k)?;
@@ -54,12 +56,13 @@ impl Film<'_> {
             if let Some(w) = &mut writer {
                 w.push(&image).map_err(fail)?;
             }
-            if let [Some(a), Some(b)] = &past {
-                for (i, sum) in sums.iter_mut().enumerate() {
-                    *sum += second_difference(&a[i], &b[i], &now[i]);
+            for ((recent, picture), sum) in recent.iter_mut().zip(now).zip(&mut sums) {
+                if recent.len() == 3 {
+                    recent.remove(0);
                 }
+                recent.push(picture);
+                *sum += unrest(recent);
             }
-            past = [past[1].take(), Some(now)];
             sink.event(Event::Step { done: k + 1 });
         }
         if let Some(w) = writer {
@@ -84,17 +87,10 @@ impl Film<'_> {
     }
 }
 
-fn place(out: &mut Image, tile: &Image, left: u32, top: u32) {
-    for y in 0..tile.height.min(out.height - top) {
-        for x in 0..tile.width.min(out.width - left) {
-            out.pixel_mut(left + x, top + y).copy_from_slice(tile.pixel(x, y));
-        }
-    }
-}
-
-fn second_difference(a: &Image, b: &Image, c: &Image) -> f64 {
-    let sum: f64 = a.data.iter().zip(&b.data).zip(&c.data).map(|((a, b), c)| f64::from((a - 2.0 * b + c).abs())).sum();
-    sum / a.data.len().max(1) as f64
+/// M11 of a few pictures in a row, over the whole picture.
+fn unrest(frames: &[Image]) -> f64 {
+    let everywhere = frames.first().map_or(0, |f| f.data.len() / f.channels as usize);
+    second_difference(frames, &vec![true; everywhere]).unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -104,7 +100,7 @@ mod tests {
     #[test]
     fn steady_change_is_calm_and_flicker_is_not() {
         let grey = |v: f32| Image { width: 2, height: 1, channels: 3, data: vec![v; 6] };
-        assert!(second_difference(&grey(0.1), &grey(0.2), &grey(0.3)) < 1e-6);
-        assert!((second_difference(&grey(0.1), &grey(0.3), &grey(0.1)) - 0.4).abs() < 1e-6);
+        assert!(unrest(&[grey(0.1), grey(0.2), grey(0.3)]) < 1e-6);
+        assert!((unrest(&[grey(0.1), grey(0.3), grey(0.1)]) - 0.4).abs() < 1e-6);
     }
 }

@@ -6,8 +6,8 @@ use megas_scene::Scene;
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::{built_in, folder_of, names};
-use crate::{Failure, LoadedScene};
+use super::{built_in, names};
+use crate::{Failure, LoadedScene, folder_of};
 
 /// A figure: variants, and the moments that the sheet of stills shows.
 #[derive(Clone, Debug, Deserialize)]

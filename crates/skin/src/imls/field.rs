@@ -169,9 +169,11 @@ impl Imls {
         // Bandwidth h_k of stage k is certain where the twelfth neighbour is within h_k/factor.
         let mut h = s.least * self.spacing;
         let most = (s.most * self.spacing).max(h);
+        // What decides about the reach must be gathered.
+        let decisive = if reach.is_finite() { reach } else { 0.0 };
         loop {
             let c = h / s.factor;
-            let need = (3.0 * h).max(c).max(if reach.is_finite() { reach } else { 0.0 });
+            let need = (3.0 * h).max(c).max(decisive);
             let moved = vec3::norm(vec3::sub(x, scratch.base));
             if !(scratch.radius >= 0.0 && moved + need <= scratch.radius) {
                 let wide = need > 3.01 * 4.0 * s.least * self.spacing;
@@ -180,7 +182,7 @@ impl Imls {
             let shift = vec3::sub(x, scratch.base);
             let (least, count) = dispatch!(self.level, simd => scratch.measure(simd, shift, c * c));
             let nearest = if least < 0.5 * FAR { least.sqrt() } else { f32::INFINITY };
-            if nearest > reach && need >= reach {
+            if nearest > reach {
                 return FieldValue { value: 0.0, gradient: [0.0; 3], weight: 0.0, bandwidth: h, nearest };
             }
             if count < s.neighbour && h < most {

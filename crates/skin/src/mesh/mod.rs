@@ -167,7 +167,7 @@ fn blend_nodes(skin: &Skin<'_>, frame: &Frame, node: [i32; 3], wanted: &[u8; 64]
     }
     let voxel = frame.voxel as f32;
     // Rows of nodes share what is gathered for the first of them.
-    let margin = 4.0 * frame.voxel as f32;
+    let margin = 4.0 * voxel;
     for ((row, x), f) in places.into_iter().zip(skin.imls.evaluate_near(&points, skin.reach, margin)) {
         let beta = skin.share(&f);
         let g = &mut out[row][x];
