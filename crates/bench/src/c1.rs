@@ -163,6 +163,7 @@ fn measure(args: &Args) -> serde_json::Value {
         "core_s_per_frame": per_frame,
         "core_s_per_s": per_frame * 24.0,
         "ns_per_point_substep": per_frame / (substeps * n as f64) * 1e9,
+        "air_steps_per_coupling_step": solver.air_step().map(|s| s.steps), "air_thickened": solver.air_step().map(|s| s.thickened),
         "rollbacks": solver.totals().rollbacks,
         "energy_residual": solver.totals().energy_residual(),
         "load": timing::load(),

@@ -270,6 +270,11 @@ impl Solver {
         self.thermal.air()
     }
 
+    /// How the simulated air is stepped, once a step has been made.
+    pub fn air_step(&self) -> Option<crate::air::AirStep> {
+        self.thermal.air_step()
+    }
+
     /// Sums over the whole run.
     pub fn totals(&self) -> &Totals {
         &self.totals

@@ -106,6 +106,33 @@ fn warm_air_rises_over_a_plate() {
     assert!(fastest > 1e-4, "{fastest}");
 }
 
+/// The step of the lattice follows the speed of what moves: long over a plate, where it needs no thicker air, shorter around a cube
+/// that falls.
+#[test]
+fn the_step_of_the_air_follows_its_speed() {
+    let run = |plume_steps, mechanics| {
+        let air = SimulatedAir { plume_steps, ..SimulatedAir::default() };
+        let setup = SolverConfig { coupling_step: 0.004, ..config(air, 353.15, mechanics) };
+        let mut solver = Solver::new(setup, &cube(AMBIENT as f32, 16.0)).expect("a solver");
+        let steps: Vec<_> = (0..8)
+            .map(|_| {
+                advance(&mut solver);
+                solver.air_step().expect("simulated air")
+            })
+            .collect();
+        let audit = solver.totals().audit.expect("an audit");
+        assert!(audit.residual.abs() < 1e-6 * audit.heats(), "{audit:?}");
+        steps
+    };
+    // A plume starts with steps for air that rises through the whole box, about 0.5 m/s; the real one is slower.
+    for plume in [0, 10] {
+        let steps = run(plume, false);
+        assert!(steps.iter().all(|s| s.steps == 1 && s.thickened == 1.0), "{steps:?}");
+    }
+    let steps: Vec<u32> = run(0, true).iter().map(|s| s.steps).collect();
+    assert!(steps[0] <= 2 && steps.windows(2).any(|w| w[1] > w[0]), "{steps:?}");
+}
+
 /// What rounding does to a melting cube over a hot plate, and to its audit.
 #[test]
 fn half_precision_changes_little_around_a_melting_cube() {

@@ -1,5 +1,7 @@
 //! A box of air: flow and temperature populations, advanced in place (simulation.md §4).
 
+mod rescale;
+
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 
