@@ -10,10 +10,8 @@ use megas_scene::{
     Region, ResolvedMaterial, Scene, Severity,
 };
 use megas_sim::air::{SimulatedAir, Storage};
-use megas_sim::collider::{Collider, SCENE_CONTACT_OFFSET, Thermal};
-use megas_sim::grid::Grid;
+use megas_sim::collider::{Collider, Thermal};
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
-use megas_sim::particles::MAX_NODES;
 use megas_sim::phase::PhaseOptions;
 use megas_sim::region;
 use megas_sim::schedule::{Duty, Motion, PoseKey, Schedule};
@@ -22,8 +20,7 @@ use megas_sim::source::{Film, HeatSource, Light, Radiant, SourceKind};
 use megas_sim::table::{Table, TableError, Tables};
 use megas_sim::thermal::{AirModel, ThermalOptions, Transfer, natural_film_coefficient};
 
-use crate::body::{Bodies, BodyMeta, scene_objects, total_height};
-use crate::colliders::support_height;
+use crate::body::{Bodies, scene_objects, total_height};
 use crate::meshes::Meshes;
 use crate::{Failure, LoadedScene};
 
@@ -376,6 +373,7 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
     let height = total_height(meta);
     let placement = meta.placement();
     let materials = objects.iter().map(|o| resolve_material(scene, o, height)).collect::<Result<Vec<_>, _>>()?;
+    let simulated: Vec<Material> = materials.iter().map(sim_material).collect::<Result<_, _>>()?;
     let limits = scene.step_limits(height, meta.dx_m);
     let mut remarks = Vec::new();
     for m in &materials {
@@ -393,7 +391,7 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
     let names: HashMap<String, u16> = meta.objects.iter().map(|o| (o.name.clone(), o.number)).collect();
     let volume: f64 = meta.objects.iter().map(|o| o.volume_m3).sum();
     let hottest = materials.iter().map(ResolvedMaterial::melting_point).filter(|t| t.is_finite()).fold(scene.ambient_k(), f64::max);
-    let grid = grid(scene, meta)?;
+    let grid = crate::room::grid(scene, meta, &simulated)?;
     let meshes = Meshes { base_dir: &loaded.base_dir, placement: &placement, grid: &grid, remarks: RefCell::default() };
     let context = HeatContext {
         meshes: &meshes,
@@ -418,7 +416,7 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
     remarks.extend(meshes.remarks.borrow_mut().drain(..).map(|text| (Severity::Warning, text)));
     let mut config = SolverConfig {
         grid,
-        materials: materials.iter().map(sim_material).collect::<Result<_, _>>()?,
+        materials: simulated,
         sources,
         colliders,
         gravity: [0.0, 0.0, -scene.simulation.gravity_m_s2],
@@ -450,42 +448,4 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
         config.thermal.air = AirModel::Simulated(simulated_air(scene, volume, &config, &bodies.points)?);
     }
     Ok(Prepared { config, acceleration: factor, melt_time, remarks })
-}
-
-/// The simulation box (simulation.md §0.1): room to spread at the sides, a little above, the support six cells above the
-/// lowest nodes. A layer of nodes lies just below the contact level of the support: were it left to chance, the first nodes
-/// that hold matter could be anywhere within a cell below that level, and matter would sink to them.
-fn grid(scene: &Scene, meta: &BodyMeta) -> Result<Grid, Failure> {
-    let dx = meta.dx_m;
-    let size: [f64; 3] = std::array::from_fn(|a| meta.box_max[a] - meta.box_min[a]);
-    let longest = size.iter().copied().fold(0.0, f64::max);
-    let room = scene.simulation.box_m;
-    let mut lo = [0.0; 3];
-    let mut nodes = [0; 3];
-    for a in 0..3 {
-        let (below, above) = match (a, room) {
-            (2, None) => (6.0 * dx, (8.0 * dx).max(0.5 * longest)),
-            (2, Some(r)) => (6.0 * dx, (r[2] - size[2]).max(8.0 * dx)),
-            (_, None) => ((8.0 * dx).max(0.8 * longest), (8.0 * dx).max(0.8 * longest)),
-            (_, Some(r)) => {
-                let side = (0.5 * (r[a] - size[a])).max(8.0 * dx);
-                (side, side)
-            }
-        };
-        let bottom = if a == 2 { meta.support_z.min(meta.box_min[2]) } else { meta.box_min[a] };
-        lo[a] = bottom - below;
-        if a == 2 && scene.support.enabled {
-            let contact = support_height(scene, meta) + (SCENE_CONTACT_OFFSET - 1e-3) * dx;
-            lo[a] = contact - ((contact - lo[a]) / dx).ceil() * dx;
-        }
-        nodes[a] = ((meta.box_max[a] + above - lo[a]) / dx).ceil() as usize + 1;
-        if nodes[a] > MAX_NODES {
-            return Err(Failure::Input(format!(
-                "the simulation box would have {} nodes along {}, more than {MAX_NODES}; use fewer cells or a smaller simulation.box_m",
-                nodes[a],
-                ["x", "y", "z"][a]
-            )));
-        }
-    }
-    Ok(Grid { origin: lo, spacing: dx, nodes })
 }

@@ -19,6 +19,7 @@ mod meshes;
 mod plan;
 mod reconstruct;
 mod render;
+mod room;
 mod run;
 mod scenery;
 mod simulate;

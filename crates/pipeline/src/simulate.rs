@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use crate::body::Bodies;
 use crate::convert::{Prepared, prepare};
 use crate::disk::frame_path;
+use crate::room::confined;
 use crate::stage::{Found, StageDir};
 use crate::table::Table;
 use crate::{Event, Failure, LoadedScene, Sink};
@@ -43,7 +44,7 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     }
     let total = frames(loaded);
     let fail = |e: SimError| failure(e, bodies);
-    let cell = config.grid.spacing;
+    let (grid, cell) = (config.grid, config.grid.spacing);
     let mut solver = Solver::new(config.clone(), &bodies.points).map_err(fail)?;
     stage.begin()?;
     let resumed = if matches!(found, Found::Partial) { resume(&mut solver, &stage.path) } else { None };
@@ -76,6 +77,7 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     }
     sink.event(Event::Step { done: solver.frames_done() });
     let start = Instant::now();
+    let mut told = false;
     while solver.frames_done() + 1 < total {
         let Some(report) = solver.advance_frame(&|| sink.cancelled()).map_err(fail)? else {
             save_checkpoint(&solver, &stage.path, &mut slot)?;
@@ -86,6 +88,10 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
         };
         warn_about(&report, bodies.points.len(), sink);
         let frame = solver.export();
+        if !told && let Some(text) = confined(&frame, &grid) {
+            told = true;
+            sink.event(Event::Warning(&text));
+        }
         write_frame(&stage.path, report.frame, &frame, Some(&report))?;
         if report.frame % CHECKPOINT_EVERY == 0 || report.frame + 1 == total {
             save_checkpoint(&solver, &stage.path, &mut slot)?;

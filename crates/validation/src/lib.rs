@@ -3,6 +3,7 @@
 //! `megas validate` runs it and writes a page of it; `cargo test -p megas-validation` asserts it.
 
 pub mod air;
+pub mod cost;
 pub mod coupled;
 pub mod elastic;
 mod figure;
@@ -103,6 +104,7 @@ pub fn cases() -> Vec<Case> {
         melting::CASES,
         splats::CASES,
         robustness::CASES,
+        cost::CASES,
     ]
     .concat();
     all.sort_by_key(|c| c.id);
