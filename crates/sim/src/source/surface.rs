@@ -4,6 +4,8 @@
 //! towards one that does not: a film that acts on a node below others takes their heat past them, and the design's rule (the
 //! fullest neighbour) moves area sideways, towards the tops of curved bodies. On the rim, in proportion to the open faces seen
 //! along the normal, a linear temperature in a plane at any angle is exact: what a node loses is what its missing links would carry.
+//! A node of the rim shares its area, by mass, with the nodes outside that hold the last of the matter: these would otherwise learn only by
+//! conduction what the surface loses, and be warmer than all below.
 
 use rayon::prelude::*;
 
@@ -52,6 +54,8 @@ fn depth(smooth: f32) -> f32 {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SurfaceMeasure {
     phi: Vec<f32>,
+    /// The filled fraction as it is.
+    fill: Vec<f32>,
     smooth: Vec<f32>,
     other: Vec<f32>,
     gradient: Vec<f32>,
@@ -193,7 +197,7 @@ impl SurfaceMeasure {
         let window = Window::new(lattice, touched);
         self.window = window;
         let cells = window.shape[0] * window.shape[1] * window.shape[2];
-        for buffer in [&mut self.phi, &mut self.smooth, &mut self.other, &mut self.gradient] {
+        for buffer in [&mut self.phi, &mut self.fill, &mut self.smooth, &mut self.other, &mut self.gradient] {
             buffer.clear();
             buffer.resize(cells, 0.0);
         }
@@ -202,6 +206,7 @@ impl SurfaceMeasure {
             let c = std::array::from_fn(|a| node[a] as i64 - window.lo[a]);
             if let Some(i) = window.at(lattice, c) {
                 self.phi[i] = bent(network.phi[slot]);
+                self.fill[i] = network.phi[slot] as f32;
             }
         }
         let p = lattice.periodic;
@@ -280,8 +285,27 @@ impl SurfaceMeasure {
             self.add(network, at, area, out, place);
         }
         for &(j, weight) in &seen[..count] {
-            let share = weight / total;
-            self.add(network, j, area * f64::from(share), out.map(|v| v * share), place);
+            // The node and those outside it; one that lies outside several of the rim is divided by the squares of the normal.
+            let c = window.coordinates(j);
+            let mut column = [(j, self.fill[j]); 7];
+            let mut members = 1;
+            for l in (0..6).filter(|l| self.rim[j] & 1 << l != 0) {
+                let sign = if l % 2 == 1 { 1 } else { -1 };
+                let open = normal[l / 2] * sign as f32;
+                let mut n = c;
+                n[l / 2] += sign;
+                if open > 0.0
+                    && let Some(o) = window.at(lattice, n)
+                    && self.fill[o] > 0.0
+                {
+                    (column[members], members) = ((o, self.fill[o] * open * open), members + 1);
+                }
+            }
+            let mass: f32 = column[..members].iter().map(|m| m.1).sum();
+            for &(k, m) in &column[..members] {
+                let share = weight / total * m / mass;
+                self.add(network, k, area * f64::from(share), out.map(|v| v * share), place);
+            }
         }
     }
 

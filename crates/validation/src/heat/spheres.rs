@@ -337,3 +337,37 @@ mod tests {
         assert!((ball_temperature(1.0, 0.2, 1.0) - 0.4959).abs() < 1e-4);
     }
 }
+
+#[cfg(test)]
+mod probe {
+    use super::*;
+
+    #[test]
+    fn probe_surface() {
+        for (cell, fourier) in [(0.3, 0.002), (0.3, 0.01), (0.3, 0.04), (1.2, 0.01), (0.05, 0.01)] {
+            let biot = cell * RADIUS;
+            let film = Film { ambient: 0.0, coefficient: biot * ALPHA / RADIUS, emissivity: 0.0 };
+            let mut ball = Ball::new(AirModel::Film(film), false);
+            ball.until(fourier);
+            for (a, b) in [(-1.0, 0.25), (0.25, 0.5), (0.5, 1.0), (1.0, 1.5), (1.5, 2.5), (2.5, 3.5)] {
+                let (mut n, mut s, mut s2, mut e) = (0.0, 0.0, 0.0, 0.0);
+                let (mut lo, mut hi) = (9.0f64, -9.0f64);
+                for (x, h) in ball.cloud.xi.iter().zip(&ball.cloud.h) {
+                    let r = vec3::norm(vec3::sub(*x, ball.center));
+                    let d = RADIUS - r;
+                    if d >= a && d < b {
+                        let exact = ball_temperature(biot, fourier, (r / RADIUS).min(1.0));
+                        let x = h - exact;
+                        n += 1.0;
+                        s += x;
+                        s2 += x * x;
+                        e += exact;
+                        lo = lo.min(x);
+                        hi = hi.max(x);
+                    }
+                }
+                println!("Bi_cell {cell} Fo {fourier} depth {a}..{b}: exact {:.3} error mean {:+.4} std {:.4} range {lo:+.3} {hi:+.3}", e / n, s / n, (s2 / n - (s / n) * (s / n)).sqrt());
+            }
+        }
+    }
+}
