@@ -36,6 +36,10 @@ pub struct MeshShape {
 pub struct MeshDifference {
     /// Mean distance from each surface to the other, averaged over both directions, over L.
     pub chamfer: f64,
+    /// The half of it from the mesh to the true one.
+    pub to_truth: f64,
+    /// Mean signed distance of the mesh from the true one over L; positive outside.
+    pub outward: f64,
     /// Largest such distance over L.
     pub hausdorff: f64,
     /// 95th percentile of the distances of both directions over L.
@@ -111,32 +115,53 @@ impl MeshShape {
 }
 
 impl MeshDifference {
-    /// Compares two meshes, given prepared, at `samples` points of each; `diagonal` is L.
+    /// Compares two meshes, given prepared, at `samples` points of each; `diagonal` is L. The second is the true one.
     pub fn new(a: (&Mesh, &MeshDistance), b: (&Mesh, &MeshDistance), diagonal: f64, samples: usize) -> Self {
-        let one = |(_, from): (&Mesh, &MeshDistance), (mesh, to): (&Mesh, &MeshDistance), own: &Mesh| -> Vec<(f64, f64)> {
-            from.sample(samples, 7)
-                .par_iter()
-                .with_min_len(256)
-                .map(|&x| {
-                    let x = vec3::cast::<f32, f64>(x);
-                    let (here, there) = (from.closest(x), to.closest(x));
-                    let n = normal(corners(own, own.triangles[here.triangle as usize]));
-                    let m = normal(corners(mesh, mesh.triangles[there.triangle as usize]));
-                    (there.distance / diagonal, angle(n, m))
-                })
-                .collect()
+        Self::of_part(a, b, diagonal, samples, |_| true)
+    }
+
+    /// The same for a part of the true surface: its points for which `counts` says so, and the points of `a` whose nearest of `b` is such.
+    pub fn of_part(
+        a: (&Mesh, &MeshDistance),
+        b: (&Mesh, &MeshDistance),
+        diagonal: f64,
+        samples: usize,
+        counts: impl Fn(Vec3<f64>) -> bool + Sync,
+    ) -> Self {
+        struct Pair {
+            distance: f64,
+            angle: f64,
+            /// How far the point of `a` is outside of `b`.
+            outward: f64,
+        }
+        let pair = |x: Vec3<f32>, forth: bool| {
+            let x = vec3::cast::<f32, f64>(x);
+            let (own, other) = if forth { (a, b) } else { (b, a) };
+            let there = other.1.closest(x);
+            if !counts(if forth { there.point } else { x }) {
+                return None;
+            }
+            let n = normal(corners(own.0, own.0.triangles[own.1.closest(x).triangle as usize]));
+            let m = normal(corners(other.0, other.0.triangles[there.triangle as usize]));
+            let outward = vec3::dot(vec3::sub(x, there.point), m).signum() * there.distance;
+            Some(Pair { distance: there.distance / diagonal, angle: angle(n, m), outward: outward / diagonal })
         };
-        let (forth, back) = (one(a, b, a.0), one(b, a, b.0));
-        let mean = |v: &[(f64, f64)]| v.iter().map(|p| p.0).sum::<f64>() / v.len().max(1) as f64;
-        let chamfer = 0.5 * (mean(&forth) + mean(&back));
-        let all: Vec<(f64, f64)> = forth.into_iter().chain(back).collect();
-        let mut distances: Vec<f64> = all.iter().map(|p| p.0).collect();
-        let mut angles: Vec<f64> = all.iter().map(|p| p.1).collect();
+        let one = |own: &MeshDistance, forth: bool| -> Vec<Pair> {
+            own.sample(samples, 7).par_iter().with_min_len(256).filter_map(|&x| pair(x, forth)).collect()
+        };
+        let (forth, back) = (one(a.1, true), one(b.1, false));
+        let mean = |v: &[Pair], f: fn(&Pair) -> f64| v.iter().map(f).sum::<f64>() / v.len().max(1) as f64;
+        let chamfer = 0.5 * (mean(&forth, |p| p.distance) + mean(&back, |p| p.distance));
+        let outward = mean(&forth, |p| p.outward);
+        let mut distances: Vec<f64> = forth.iter().chain(&back).map(|p| p.distance).collect();
+        let mut angles: Vec<f64> = forth.iter().chain(&back).map(|p| p.angle).collect();
         distances.sort_unstable_by(f64::total_cmp);
         angles.sort_unstable_by(f64::total_cmp);
         let at = |v: &[f64], q: f64| v.get(((v.len() as f64 * q) as usize).min(v.len().saturating_sub(1))).copied().unwrap_or(0.0);
         Self {
             chamfer,
+            to_truth: mean(&forth, |p| p.distance),
+            outward,
             hausdorff: at(&distances, 1.0),
             p95: at(&distances, 0.95),
             normal_mean: angles.iter().sum::<f64>() / angles.len().max(1) as f64,
@@ -222,6 +247,12 @@ mod tests {
         let d = MeshDifference::new((&a, &da), (&b, &db), 2.0, 4000);
         assert!((d.chamfer - 0.05).abs() < 0.002 && (d.hausdorff - 0.05).abs() < 0.003 && (d.p95 - 0.05).abs() < 0.002, "{d:?}");
         assert!(d.normal_mean < 0.05 && d.normal_p95 < 0.1, "{d:?}");
+        // Inside by 0.05 L; and the upper half alone.
+        assert!((d.outward + 0.05).abs() < 0.002 && (d.to_truth - 0.05).abs() < 0.002, "{d:?}");
+        let lifted = Mesh { positions: b.positions.iter().map(|x| [x[0], x[1], x[2].max(-0.5)]).collect(), ..b.clone() };
+        let dl = MeshDistance::new(&lifted).unwrap();
+        let upper = MeshDifference::of_part((&lifted, &dl), (&a, &da), 2.0, 4000, |x| x[2] > 0.0);
+        assert!((upper.outward - 0.05).abs() < 0.003 && (upper.chamfer - 0.05).abs() < 0.003 && upper.hausdorff < 0.06, "{upper:?}");
         let same = MeshDifference::new((&a, &da), (&a, &da), 2.0, 1000);
         assert!(same.chamfer < 1e-6 && same.normal_mean < 1e-6);
         // Particles that go outward by a tenth take the vertices along.

@@ -109,7 +109,7 @@ pub fn render(
                 studio.skin.frame(&points, &viewers, drawn, &mut posed);
                 studio.skin.keep(&stage.path)?;
             }
-            Some(skin) if drawn => mesh_splats::assign(&mut posed, &whole_mesh(bodies, &points, skin)),
+            Some(skin) if drawn => mesh_splats::assign(&mut posed, &whole_mesh(scene, bodies, &points, skin)),
             Some(_) => {}
         }
         if !drawn {

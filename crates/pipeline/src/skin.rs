@@ -49,7 +49,7 @@ fn densify_settings(scene: &Scene) -> DensifySettings {
     d.cameras = s.virtual_cameras as usize;
     if let Some(r) = s.kernel_radius {
         (d.radius, d.kappa) = match r {
-            KernelRadius::Mean3 => (Radius::Mean3, 0.7),
+            KernelRadius::Mean3 => (Radius::Mean3, 0.55),
             KernelRadius::Nearest => (Radius::Nearest, 0.5),
         };
     }
@@ -93,6 +93,8 @@ impl Dresser {
                 megas_scene::Push::Total => Push::Total,
                 megas_scene::Push::Rotation => Push::Rotation,
             },
+            squeeze: scene.skin.squeeze.unwrap_or(!scene.is_literal()),
+            depth: scene.skin.depth_m / unit,
             needle_aspect: if clamp { scene.skin.max_stretch } else { f64::INFINITY },
             needle_size: if clamp { 2.0 * tau_scale } else { f64::INFINITY },
         };
@@ -219,6 +221,7 @@ impl Dresser {
         t.push("colour", &s.colour);
         t.push("normal", &s.normal);
         t.push("cover", &s.cover);
+        t.push("rim", &s.rim);
         t.push("sigma0", &skin.sigma0);
         t.push("turned", &skin.turned);
         t.write(&state_path(folder, self.next))?;
@@ -256,6 +259,7 @@ impl Dresser {
             colour: t.take("colour").ok()?,
             normal: t.take("normal").ok()?,
             cover: t.take("cover").ok()?,
+            rim: t.take("rim").ok()?,
         };
         let skin = SkinState { sigma0: t.take("sigma0").ok()?, turned: t.take("turned").ok()? };
         let [most, toggles, worst] = totals[..] else { return None };

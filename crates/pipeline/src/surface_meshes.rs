@@ -31,6 +31,7 @@ pub struct SurfaceMeshes {
     sequence: MeshSequence,
     every: u64,
     settings: MeshSettings,
+    depth: f32,
     table: PathBuf,
     measures: BTreeMap<u64, Measure>,
 }
@@ -51,7 +52,8 @@ impl SurfaceMeshes {
         settings.voxel = (settings.voxel * o.mesh_voxel).min(2.0 * settings.spacing);
         let table = folder.join("measures.csv");
         let measures = read_table(&table);
-        Ok(Some(Self { sequence, every: u64::from(o.mesh_every.max(1)), settings, table, measures }))
+        let depth = depth(scene, bodies);
+        Ok(Some(Self { sequence, every: u64::from(o.mesh_every.max(1)), settings, depth, table, measures }))
     }
 
     /// Whether frame `k` is still to be written.
@@ -65,7 +67,7 @@ impl SurfaceMeshes {
         let unit = bodies.meta.similarity.metres_per_unit;
         let mut measure = Measure { volume_m3: 0.0, area_m2: 0.0, triangles: 0 };
         for o in &bodies.meta.objects {
-            let mesh = object_mesh(bodies, frame, o.number, &self.settings, true);
+            let mesh = object_mesh(bodies, frame, o.number, &self.settings, Some(self.depth));
             let s = Surface::of(&mesh);
             measure.volume_m3 += s.volume * unit.powi(3);
             measure.area_m2 += s.area * unit.powi(2);
@@ -137,9 +139,15 @@ fn mesh_settings(bodies: &Bodies) -> MeshSettings {
     MeshSettings::new(0.5 * m.dx_m / unit, vec3::norm(size) / unit)
 }
 
+/// Depth of the splats below the surface that they draw, scene units.
+fn depth(scene: &Scene, bodies: &Bodies) -> f32 {
+    (scene.skin.depth_m / bodies.meta.similarity.metres_per_unit) as f32
+}
+
 /// The meshes of all objects in one, for pictures. Without `skin` they are those of the particles alone.
-pub fn whole_mesh(bodies: &Bodies, frame: &PointFrame, skin: bool) -> Mesh {
+pub fn whole_mesh(scene: &Scene, bodies: &Bodies, frame: &PointFrame, skin: bool) -> Mesh {
     let settings = mesh_settings(bodies);
+    let skin = skin.then(|| depth(scene, bodies));
     let mut whole = Mesh::default();
     for o in &bodies.meta.objects {
         append(&mut whole, object_mesh(bodies, frame, o.number, &settings, skin));
@@ -147,8 +155,9 @@ pub fn whole_mesh(bodies: &Bodies, frame: &PointFrame, skin: bool) -> Mesh {
     whole
 }
 
-/// The mesh of one object: its particles close it, and with `skin` the oriented splats shape it where they are dense enough.
-fn object_mesh(bodies: &Bodies, frame: &PointFrame, number: u16, settings: &MeshSettings, skin: bool) -> Mesh {
+/// The mesh of one object: its particles close it, and with `skin` (how deep they lie below the surface) the oriented splats shape it
+/// where they are dense enough.
+fn object_mesh(bodies: &Bodies, frame: &PointFrame, number: u16, settings: &MeshSettings, skin: Option<f32>) -> Mesh {
     let n = bodies.surface.len();
     let similarity = &bodies.meta.similarity;
     let mine = |i: &usize| bodies.points.object[*i] == number && frame.flags[*i] & FLAG_ESCAPED == 0;
@@ -159,7 +168,7 @@ fn object_mesh(bodies: &Bodies, frame: &PointFrame, number: u16, settings: &Mesh
     let core_at: Vec<[f32; 3]> = core.iter().map(|i| place(*i)).collect();
     let normal = outer.iter().map(|i| vec3::cast(similarity.direction_to_scene(frame.normal[*i].map(f64::from)))).collect();
     let samples = Samples { position: skin_at.clone(), normal, weight: Vec::new() };
-    let imls = if skin { Imls::new(&samples, &ImlsSettings::default()) } else { None };
+    let imls = skin.and_then(|depth| Imls::new(&samples.raised(depth), &ImlsSettings::default()));
     let mut mesh = body_mesh(&core_at, imls.as_ref(), settings);
     let spacing = settings.spacing as f32;
     let rgb = |i: &usize| [0, 1, 2].map(|k| sh::rgb_from_dc(bodies.surface.sh_of(*i)[k]).clamp(0.0, 1.0));

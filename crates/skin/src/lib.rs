@@ -13,5 +13,5 @@ mod skin;
 
 pub use bake::bake_splats;
 pub use clamp::{NeedleLimit, clamp_covariance};
-pub use push::{Pushed, push_forward, rebase_covariance};
+pub use push::{Pushed, lost_depth, push_forward, rebase_covariance, squeeze};
 pub use skin::{InternalKernels, Push, Skin, SkinSettings, SkinState};

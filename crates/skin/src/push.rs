@@ -1,6 +1,6 @@
 //! Push-forward of one Gaussian by a deformation gradient (splatting.md §8.2, §8.3).
 
-use megas_math::{Mat3, mat3, svd};
+use megas_math::{Mat3, Vec3, mat3, svd, vec3};
 
 /// A deformed Gaussian's shape and the rotation of its appearance.
 #[derive(Clone, Copy, Debug)]
@@ -27,6 +27,44 @@ pub fn push_forward(f: Mat3<f64>, sigma0: Mat3<f64>) -> Pushed {
 /// `B = F_after⁻¹ F_before` (§8.2, rebase).
 pub fn rebase_covariance(b: Mat3<f64>, sigma0: Mat3<f64>) -> Mat3<f64> {
     mat3::symmetrize(mat3::congruence(b, sigma0))
+}
+
+/// Least stretch that [`squeeze`] follows: the simulator limits what it exports to the same (simulation.md §7.3).
+const LEAST: f64 = 0.5;
+
+/// Lets a Gaussian become as narrow as the flow makes its surroundings: `Σ ← QΣQ`, `Q = U diag(q) Uᵀ`, where `F = U σ Vᵀ` is the total
+/// gradient, `rest` the covariance at rest and
+///
+/// ```text
+/// q_k = clamp( √(σ_k² v_kᵀ Σ_rest v_k / u_kᵀ Σ u_k), σ_k, 1 )   where σ_k < 1, else 1
+/// ```
+///
+/// The elastic gradient forgets the flow. Where it draws the surface apart that leaves cracks, which §7 seals; where it presses the surface
+/// together it leaves splats too wide for the details between them and outlines too fat. What the elastic gradient has squeezed
+/// already is not squeezed again, and a rebase (§8.2), which changes neither Σ nor F, changes nothing here.
+pub fn squeeze(total: Mat3<f64>, rest: Mat3<f64>, pushed: Mat3<f64>) -> Mat3<f64> {
+    let d = svd::svd(total);
+    if d.s[2] >= 1.0 - 1e-9 || !d.s.iter().all(|s| s.is_finite()) {
+        return pushed;
+    }
+    let mut q = mat3::identity();
+    for k in (0..3).filter(|&k| d.s[k].abs() < 1.0) {
+        let s = d.s[k].abs().max(LEAST);
+        let (u, v) = (mat3::column(d.u, k), mat3::column(d.v, k));
+        let wanted = s * s * vec3::dot(v, mat3::mul_vec(rest, v));
+        let f = (wanted / vec3::dot(u, mat3::mul_vec(pushed, u)).max(1e-300)).sqrt().clamp(s, 1.0);
+        q = mat3::add(q, mat3::scale(mat3::outer(u, u), f - 1.0));
+    }
+    mat3::symmetrize(mat3::congruence(q, pushed))
+}
+
+/// How much nearer the surface the flow brings what lies below it, as a fraction of its depth: `1 − 1/‖F⁻ᵀn‖` for the normal `n` at rest,
+/// within [0, ½]. Means of splats lie below the outline that they draw by what the blur of the pictures adds, so they must move back by
+/// that fraction of it. Where the flow takes them deeper they have room, and stay.
+pub fn lost_depth(total: Mat3<f64>, normal: Vec3<f64>) -> f64 {
+    let Some(inverse) = mat3::inverse(total) else { return 0.0 };
+    let n = vec3::norm(mat3::tmul_vec(inverse, normal));
+    if n.is_finite() && n > 0.0 { (1.0 - 1.0 / n).clamp(0.0, LEAST) } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -84,5 +122,44 @@ mod tests {
             assert!(mat3::norm(mat3::sub(a.covariance, b.covariance)) < 1e-12);
             assert!(mat3::norm(mat3::sub(a.rotation, b.rotation)) < 1e-9);
         }
+    }
+
+    #[test]
+    fn what_is_pressed_together_gets_narrower_and_nothing_else_does() {
+        let mut rng = Rng::new(3);
+        for _ in 0..50 {
+            let rest = random_sigma(&mut rng);
+            let r = quat::to_mat3::<f64>(std::array::from_fn(|_| rng.range(-1.0, 1.0)));
+            // Elastic and total agree: a solid. Also with the strain moved into the covariance by a rebase.
+            let f = mat3::mul(r, mat3::diag([1.3, 0.8, 0.9]));
+            let pushed = mat3::congruence(f, rest);
+            assert!(mat3::norm(mat3::sub(squeeze(f, rest, pushed), pushed)) < 1e-9 * mat3::norm(pushed));
+            // A flow that the elastic gradient has forgotten: a disc in its plane gets the width that the total gradient gives.
+            let disc = mat3::congruence(r, mat3::diag([0.04, 0.04, 1e-6]));
+            let flow = mat3::mul(mat3::mul(r, mat3::diag([2.0, 0.6, 0.8])), mat3::transpose(r));
+            let (w, _) = svd::eigen_symmetric(squeeze(flow, disc, disc));
+            assert!((w[0] - 0.04).abs() < 1e-9 && (w[1] - 0.36 * 0.04).abs() < 1e-9 && (w[2] - 0.64e-6).abs() < 1e-9, "{w:?}");
+            // Never below half.
+            let crushed = mat3::mul(mat3::mul(r, mat3::diag([4.0, 0.1, 0.8])), mat3::transpose(r));
+            assert!((svd::eigen_symmetric(squeeze(crushed, disc, disc)).0[1] - 0.01).abs() < 1e-9);
+        }
+        let rest = mat3::diag([1.0, 0.9, 0.1]);
+        assert!(squeeze(mat3::diag([2.0, 1.5, 1.0]), rest, rest) == rest);
+    }
+
+    #[test]
+    fn depth_follows_the_distance_of_parallel_planes() {
+        let f = [[1.0, 0.4, 0.0], [0.0, 1.2, 0.3], [0.1, 0.0, 0.7]];
+        let n: Vec3<f64> = vec3::normalize_or([0.2, -0.5, 0.8], [0.0; 3]);
+        // Two points of planes 0.01 apart; the deformed normal is F⁻ᵀn.
+        let Some(inverse) = mat3::inverse(f) else { panic!("invertible") };
+        let m = vec3::normalize_or(mat3::tmul_vec(inverse, n), [0.0; 3]);
+        let (t, _) = vec3::frame_from_normal(n);
+        let apart = vec3::dot(m, mat3::mul_vec(f, vec3::add(vec3::scale(n, 0.01), vec3::scale(t, 3.0))));
+        let aside = vec3::dot(m, mat3::mul_vec(f, vec3::scale(t, 3.0)));
+        assert!((lost_depth(f, n) - (1.0 - (apart - aside) / 0.01)).abs() < 1e-9);
+        assert_eq!(lost_depth(mat3::diag([1.0, 1.0, 0.1]), [0.0, 0.0, 1.0]), 0.5);
+        assert_eq!(lost_depth(mat3::diag([1.0, 1.0, 1.7]), [0.0, 0.0, 1.0]), 0.0);
+        assert_eq!(lost_depth([[0.0; 3]; 3], n), 0.0);
     }
 }

@@ -1,12 +1,12 @@
 //! Poses the splats of a body after one frame of the simulation (splatting.md §8.1–8.5).
 
 use megas_body::neighbours::Neighbours;
-use megas_math::{Mat3, mat3, sh};
+use megas_math::{Mat3, mat3, sh, vec3};
 use megas_model::{FLAG_ESCAPED, Phase, PointFrame, Similarity, Splats};
 use megas_raster::{Gaussians, pack_covariance};
 use rayon::prelude::*;
 
-use crate::{NeedleLimit, clamp_covariance, push_forward, rebase_covariance};
+use crate::{NeedleLimit, clamp_covariance, lost_depth, push_forward, rebase_covariance, squeeze};
 
 /// Which deformation carries the splats (splatting.md §8.2).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,6 +25,11 @@ pub enum Push {
 pub struct SkinSettings {
     /// Deformation source.
     pub push: Push,
+    /// Splats get narrower where the flow presses the surface together ([`crate::squeeze`]); matters for the elastic source.
+    pub squeeze: bool,
+    /// Depth of the means below the surface that the splats draw, kept when the flow changes it ([`crate::lost_depth`]) \[scene units\];
+    /// 0 leaves them where the points are.
+    pub depth: f64,
     /// Needle clamp: largest aspect ρ = S¹/S² (default 4).
     pub needle_aspect: f64,
     /// Needle clamp: largest standard deviation τ_def \[scene units\]; infinite with an infinite aspect switches it off.
@@ -209,12 +214,25 @@ impl Skin {
 
     fn pose_surface(&self, frame: &PointFrame, i: usize) -> (Posed, bool) {
         let pushed = push_forward(self.gradient(frame, i), self.sigma0[i]);
-        let (covariance, clamped) = clamp_covariance(pushed.covariance, self.limits[i]);
-        let turned = self.turned.get(i).map_or(pushed.rotation, |t| mat3::mul(pushed.rotation, *t));
+        let turn = self.turned.get(i);
+        let total = || self.similarity.map_to_scene(unflatten(&frame.total[i]));
+        let flowed = if self.settings.squeeze && self.settings.push == Push::Elastic {
+            let rest = mat3::cast(self.surface.covariance(i));
+            squeeze(total(), turn.map_or(rest, |t| mat3::congruence(*t, rest)), pushed.covariance)
+        } else {
+            pushed.covariance
+        };
+        let (covariance, clamped) = clamp_covariance(flowed, self.limits[i]);
+        let turned = turn.map_or(pushed.rotation, |t| mat3::mul(pushed.rotation, *t));
         let r = mat3::cast::<f64, f32>(turned);
         let normal = self.similarity.direction_to_scene(frame.normal[i].map(f64::from)).map(|v| v as f32);
+        let mut mean = self.place(frame.position[i]);
+        if self.settings.depth > 0.0 {
+            let lost = lost_depth(total(), self.surface.normal(i).map(f64::from));
+            mean = vec3::add_scaled(mean, normal, -(lost * self.settings.depth) as f32);
+        }
         let posed = Posed {
-            mean: self.place(frame.position[i]),
+            mean,
             covariance: pack_covariance(mat3::cast(covariance)),
             rotation: [r[0][0], r[0][1], r[0][2], r[1][0], r[1][1], r[1][2], r[2][0], r[2][1], r[2][2]],
             normal,
@@ -301,7 +319,7 @@ mod tests {
         let camera = Camera::look_at([3.0, 1.0, 0.5], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 96, 96);
         let still = image(&Gaussians::from_splats(&s), &camera);
         for push in [Push::Elastic, Push::Total, Push::Rotation] {
-            let settings = SkinSettings { push, needle_aspect: 4.0, needle_size: 0.01 };
+            let settings = SkinSettings { push, squeeze: true, depth: 0.1, needle_aspect: 4.0, needle_size: 0.01 };
             let skin = Skin::new(s.clone(), InternalKernels::default(), sim, settings);
             let mut g = Gaussians::default();
             assert_eq!(skin.pose(&frame_of(&s, &sim, mat3::identity(), [0.0; 3]), &mut g), 0);
@@ -325,7 +343,7 @@ mod tests {
         let s = shell(300);
         let sim = similarity();
         let camera = Camera::look_at([3.0, 1.0, 0.5], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 64, 64);
-        let settings = SkinSettings { push: Push::Elastic, needle_aspect: 4.0, needle_size: 1.0 };
+        let settings = SkinSettings { push: Push::Elastic, squeeze: true, depth: 0.0, needle_aspect: 4.0, needle_size: 1.0 };
         let mut skin = Skin::new(s.clone(), InternalKernels::default(), sim, settings);
         let before = mat3::diag([1.1, 0.95, 0.9]);
         let after = mat3::scale(mat3::identity(), (1.1f64 * 0.95 * 0.9).cbrt());

@@ -15,6 +15,8 @@ pub struct FrontLayer {
     pub alpha: Vec<f32>,
     /// `A_f`: the part of it that lies within the window about the true depth.
     pub front: Vec<f32>,
+    /// The part that lies nearer than the window: something sticks out before the true surface.
+    pub near: Vec<f32>,
 }
 
 /// A Gaussian in the image.
@@ -78,13 +80,14 @@ pub fn front_layer(g: &Gaussians, camera: &Camera, depth: &[f32], window: f32) -
     };
     let mut records: Vec<Record> = (0..g.len()).into_par_iter().with_min_len(256).filter_map(record).collect();
     records.par_sort_unstable_by(|a, b| a.z.total_cmp(&b.z).then(a.index.cmp(&b.index)));
-    let bands: Vec<(Vec<f32>, Vec<f32>)> = (0..height.div_ceil(BAND))
+    let bands: Vec<[Vec<f32>; 3]> = (0..height.div_ceil(BAND))
         .into_par_iter()
         .map(|b| {
             let rows = b * BAND..((b + 1) * BAND).min(height);
             let mut transmittance = vec![1.0f32; rows.len() * width];
             let mut done = vec![false; rows.len() * width];
             let mut front = vec![0.0f32; rows.len() * width];
+            let mut near = vec![0.0f32; rows.len() * width];
             for r in &records {
                 let y0 = ((r.mean[1] - r.half[1] - 0.5).ceil().max(rows.start as f32)) as usize;
                 let y1 = ((r.mean[1] + r.half[1] - 0.5).floor() + 1.0).clamp(0.0, rows.end as f32) as usize;
@@ -109,18 +112,21 @@ pub fn front_layer(g: &Gaussians, camera: &Camera, depth: &[f32], window: f32) -
                             continue;
                         }
                         let z = r.z + r.slope[0] * dx + r.slope[1] * dy;
-                        if (z - depth[truth + x]).abs() < window {
+                        let behind = z - depth[truth + x];
+                        if behind.abs() < window {
                             front[row + x] += alpha * t;
+                        } else if behind < 0.0 {
+                            near[row + x] += alpha * t;
                         }
                         transmittance[row + x] = t * (1.0 - alpha);
                     }
                 }
             }
-            (transmittance.into_iter().map(|t| 1.0 - t).collect(), front)
+            [transmittance.into_iter().map(|t| 1.0 - t).collect(), front, near]
         })
         .collect();
-    let (alpha, front): (Vec<Vec<f32>>, Vec<Vec<f32>>) = bands.into_iter().unzip();
-    FrontLayer { alpha: alpha.concat(), front: front.concat() }
+    let [alpha, front, near] = [0, 1, 2].map(|k| bands.iter().flat_map(|b| b[k].iter().copied()).collect());
+    FrontLayer { alpha, front, near }
 }
 
 #[cfg(test)]

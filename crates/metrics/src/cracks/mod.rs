@@ -39,6 +39,9 @@ pub struct Cracks {
     /// The same without the pixels within 2 px of a place where the surface hides itself (its depth jumps by more than the window):
     /// there a pixel sees two layers, in a perfect model too.
     pub off_contours: f64,
+    /// The part of the crack fraction where what is there instead lies before the true surface: the model of a nearer part sticks out
+    /// over its outline. In the rest the surface is not covered.
+    pub overlapped: f64,
     /// Connected sets of at least four such pixels, mean per view.
     pub holes: f64,
     /// The largest of them, as a fraction of its view's silhouette.
@@ -109,6 +112,7 @@ impl CrackViews {
                     cracked[i] = f < CRACKED;
                     sum.front_deficit += f64::from(1.0 - f);
                     sum.crack_fraction += f64::from(u8::from(cracked[i]));
+                    sum.overlapped += f64::from(u8::from(cracked[i] && layer.near[i] > 0.5 * (1.0 - f)));
                     if !view.contour[i] {
                         smooth += 1;
                         sum.off_contours += f64::from(u8::from(cracked[i]));
@@ -131,6 +135,7 @@ impl CrackViews {
             front_deficit: sum.front_deficit / n,
             crack_fraction: sum.crack_fraction / n,
             off_contours: sum.off_contours / smooth.max(1) as f64,
+            overlapped: sum.overlapped / n,
             holes: sum.holes / self.views.len().max(1) as f64,
             largest_hole: sum.largest_hole,
             alpha_deficit: sum.alpha_deficit / n,

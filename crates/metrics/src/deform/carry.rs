@@ -58,14 +58,14 @@ pub struct Carried {
     pub gradient: Vec<Mat3<f64>>,
 }
 
-/// Carries splats by a deformation. `clamp` may change a pushed covariance, given the one at rest (the needle clamp of
-/// splatting.md §8.4). Normals follow `F^{−T} n` and keep the side that the splats have.
+/// Carries splats by a deformation. `clamp` may change a pushed covariance, given the one at rest and the whole gradient (the needle
+/// clamp of splatting.md §8.4). Normals follow `F^{−T} n` and keep the side that the splats have.
 pub fn carry(
     splats: &Splats,
     stage: &Stage,
     deformation: Deformation,
     mode: Carry,
-    clamp: impl Fn(Mat3<f64>, Mat3<f64>) -> Mat3<f64> + Sync,
+    clamp: impl Fn(Mat3<f64>, Mat3<f64>, Mat3<f64>) -> Mat3<f64> + Sync,
 ) -> Carried {
     struct One {
         mean: [f32; 3],
@@ -79,7 +79,7 @@ pub fn carry(
         let f = stage.gradient(deformation, x);
         let (pushed, rotation) = mode.gradient(f);
         let rest = mat3::cast(splats.covariance(i));
-        let covariance = clamp(mat3::symmetrize(mat3::congruence(pushed, rest)), rest);
+        let covariance = clamp(mat3::symmetrize(mat3::congruence(pushed, rest)), rest, f);
         let normal = vec3::cast::<f32, f64>(splats.normal(i));
         // The maps are invertible; a broken splat is hidden by the rasterizer.
         let normal = mat3::inverse(f).map_or(normal, |inverse| mat3::tmul_vec(inverse, normal));
@@ -145,13 +145,13 @@ mod tests {
     fn rest_changes_nothing_and_total_maps_covariances() {
         let (s, stage) = (splats(50), stage());
         let still = Gaussians::from_splats(&s);
-        let rest = carry(&s, &stage, Deformation::Rest, Carry::ElasticLike, |c, _| c).gaussians;
+        let rest = carry(&s, &stage, Deformation::Rest, Carry::ElasticLike, |c, _, _| c).gaussians;
         for i in 0..s.len() {
             assert!(vec3::norm(vec3::sub(rest.mean[i], still.mean[i])) < 1e-6);
             assert!((0..6).all(|k| (rest.covariance[i][k] - still.covariance[i][k]).abs() < 1e-8));
             assert!(vec3::dot(rest.normal[i], still.normal[i]) > 1.0 - 1e-5);
         }
-        let slump = carry(&s, &stage, Deformation::Slump, Carry::Total, |c, _| c);
+        let slump = carry(&s, &stage, Deformation::Slump, Carry::Total, |c, _, _| c);
         for i in 0..s.len() {
             let f = stage.gradient(Deformation::Slump, vec3::cast(s.mean[i]));
             let expected = mat3::congruence(f, mat3::cast::<f32, f64>(s.covariance(i)));
@@ -162,7 +162,7 @@ mod tests {
             let n: [f64; 3] = vec3::cast(slump.gaussians.normal[i]);
             assert!(vec3::dot(mat3::mul_vec(f, along), n).abs() < 1e-5);
         }
-        let clamped = carry(&s, &stage, Deformation::Slump, Carry::Total, |_, rest| rest).gaussians;
+        let clamped = carry(&s, &stage, Deformation::Slump, Carry::Total, |_, rest, _| rest).gaussians;
         assert!((0..6).all(|k| (clamped.covariance[7][k] - still.covariance[7][k]).abs() < 1e-8));
     }
 }

@@ -16,7 +16,7 @@ pub fn meshes(model: &Filled, truth: &Truth) -> Value {
         normal: (0..model.surface.len()).map(|i| model.surface.normal(i)).collect(),
         weight: Vec::new(),
     };
-    let skin = Imls::new(&samples, &ImlsSettings::default());
+    let skin = Imls::new(&samples.raised(model.depth as f32), &ImlsSettings::default());
     json!({ "skin": one(model, skin.as_ref(), truth), "particles": one(model, None, truth) })
 }
 
@@ -26,7 +26,9 @@ fn one(model: &Filled, skin: Option<&Imls>, truth: &Truth) -> Value {
     let mesh = body_mesh(&model.particles, skin, &MeshSettings::new(model.spacing, l));
     let Ok(distance) = MeshDistance::new(&mesh) else { return Value::Null };
     let shape = MeshShape::new(&mesh, l);
-    let difference = MeshDifference::new((&mesh, &distance), (&truth.delivered, &truth.surface), l, SAMPLES);
+    let (own, right) = ((&mesh, &distance), (&truth.delivered, &truth.surface));
+    let difference = MeshDifference::new(own, right, l, SAMPLES);
+    let seen = MeshDifference::of_part(own, right, l, SAMPLES, |x| truth.is_photographed(x));
     json!({
         "triangles": mesh.triangles.len(),
         "chamfer": difference.chamfer,
@@ -34,6 +36,13 @@ fn one(model: &Filled, skin: Option<&Imls>, truth: &Truth) -> Value {
         "p95": difference.p95,
         "normal_mean_deg": difference.normal_mean.to_degrees(),
         "normal_p95_deg": difference.normal_p95.to_degrees(),
+        "seen": {
+            "chamfer": seen.chamfer,
+            "to_truth": seen.to_truth,
+            "outward": seen.outward,
+            "p95": seen.p95,
+            "normal_mean_deg": seen.normal_mean.to_degrees(),
+        },
         "volume_error": (shape.volume - truth.volume).abs() / truth.volume,
         "euler": shape.euler,
         "watertight": shape.watertight,

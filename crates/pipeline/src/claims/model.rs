@@ -2,14 +2,14 @@
 
 use megas_body::fill::{BottomCap, DensityField, FillMethod, FillSettings, Filling, Shell, TauAlpha, fill};
 use megas_body::{BodySettings, Placement, build_body};
-use megas_math::{Mat3, mat3, vec3};
+use megas_math::{Mat3, mat3, svd, vec3};
 use megas_metrics::deform::{Carry, Deformation, Stage, carry};
 use megas_metrics::filling::{FilledGrid, FillingQuality};
 use megas_metrics::surface::MeshDistance;
 use megas_model::{Phase, Similarity, Splats};
 use megas_raster::Gaussians;
 use megas_skin::densify::{Anatomy, Deformed, Densifier, DensifySettings};
-use megas_skin::{NeedleLimit, clamp_covariance};
+use megas_skin::{NeedleLimit, clamp_covariance, lost_depth, squeeze};
 use rayon::prelude::*;
 
 use super::methods::Contender;
@@ -32,6 +32,8 @@ pub struct Filled {
     pub surface: Splats,
     /// Distance of neighbouring particles, scene units.
     pub spacing: f64,
+    /// Depth of the splats below the surface that they draw, scene units.
+    pub depth: f64,
     /// Why nothing was filled.
     pub failed: Option<String>,
 }
@@ -56,7 +58,7 @@ pub fn filled(splats: &Splats, density: bool, truth: &MeshDistance, volume: f64)
             let sum = body.points.volume.iter().map(|v| f64::from(*v)).sum::<f64>() / unit.powi(3);
             let quality = judge(&body.filling, &body.similarity, &particles, sum, truth, volume);
             let spacing = body.filling.grid.spacing * body.filling.per_particle as f64;
-            Filled { particles, colour: body.internal.rgb, quality, surface: body.surface, spacing, failed: None }
+            Filled { particles, colour: body.internal.rgb, quality, surface: body.surface, spacing, depth: 0.0, failed: None }
         }
         Err(e) => {
             // What the grid says, without particles.
@@ -69,6 +71,7 @@ pub fn filled(splats: &Splats, density: bool, truth: &MeshDistance, volume: f64)
                 quality,
                 surface: splats.clone(),
                 spacing: grid.grid.spacing,
+                depth: 0.0,
                 failed: Some(e.to_string()),
             }
         }
@@ -110,14 +113,31 @@ fn judge(
 
 /// The model after a deformation, as the method draws it.
 pub fn posed(method: Contender, model: &Filled, stage: &Stage, d: Deformation, mode: Carry) -> Gaussians {
-    let clamp = |pushed: Mat3<f64>, rest: Mat3<f64>| {
+    let refits = method.shows_inside() && d != Deformation::Rest;
+    let clamp = |pushed: Mat3<f64>, rest: Mat3<f64>, total: Mat3<f64>| {
         if !method.clamps_needles() || d == Deformation::Rest {
             return pushed;
         }
+        let pushed = if refits && mode == Carry::ElasticLike { squeeze(total, rest, pushed) } else { pushed };
         clamp_covariance(pushed, NeedleLimit::new(rest, ASPECT, 2.0 * SCALE * stage.diagonal)).0
     };
-    let surface = carry(&model.surface, stage, d, mode, clamp).gaussians;
+    let mut surface = carry(&model.surface, stage, d, mode, clamp).gaussians;
+    if refits {
+        let lost = |i: usize| {
+            let total = stage.gradient(d, vec3::cast(model.surface.mean[i]));
+            lost_depth(limited(total), model.surface.normal(i).map(f64::from))
+        };
+        for i in 0..surface.len() {
+            surface.mean[i] = vec3::add_scaled(surface.mean[i], surface.normal[i], -(lost(i) * model.depth) as f32);
+        }
+    }
     if method.shows_inside() && !model.particles.is_empty() { with_inside(model, stage, d, surface) } else { surface }
+}
+
+/// A gradient as the simulator exports it (simulation.md §7.3): stretches within [½, 2].
+fn limited(f: Mat3<f64>) -> Mat3<f64> {
+    let d = svd::svd(f);
+    d.with_values(d.s.map(|s| s.clamp(0.5, 2.0)))
 }
 
 /// Draws the particles that come to light, on top of the surface (§7).
@@ -161,6 +181,7 @@ mod tests {
             quality: FillingQuality::default(),
             surface: s,
             spacing: 0.125,
+            depth: 0.0,
             failed: None,
         }
     }

@@ -85,6 +85,9 @@ pub fn checks(r: &Results) -> Vec<Check> {
     if let Some(chamfer) = r.mean(B5, "/meshes/skin/chamfer") {
         say(format!("mesh at rest: Chamfer at most {} L", percent(CHAMFER)), chamfer <= CHAMFER, percent(chamfer));
     }
+    if let Some(chamfer) = r.mean(B5, "/meshes/skin/seen/chamfer") {
+        say(format!("mesh at rest, what is photographed: Chamfer at most {} L", percent(CHAMFER)), chamfer <= CHAMFER, percent(chamfer));
+    }
     if let Some(hollow) = r.filling(A1, "hollow") {
         say(
             format!("density field on our model: hollow at least {}", percent(BASELINE_HOLLOW)),

@@ -31,6 +31,13 @@ impl Results {
         (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
     }
 
+    /// Standard deviation over several seeds.
+    fn deviation(&self, m: Contender, pointer: &str) -> Option<f64> {
+        let (mean, runs) = (self.mean(m, pointer)?, &self.rows.iter().find(|r| r.0 == m)?.1);
+        let values: Vec<f64> = runs.iter().filter_map(|f| f.pointer(pointer)?.as_f64()).collect();
+        (values.len() > 1).then(|| (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt())
+    }
+
     fn deformed(&self, m: Contender, d: Deformation, mode: Carry, rest: &str) -> Option<f64> {
         self.mean(m, &format!("/deformed/{}/{}/{rest}", d.id(), mode.name()))
     }
@@ -73,8 +80,9 @@ impl Results {
             if !any {
                 continue;
             }
-            let kinds: [(&str, &str, fn(f64) -> String); 7] = [
+            let kinds: [(&str, &str, fn(f64) -> String); 8] = [
                 ("Crack fraction (M6)", "cracks/crack_fraction", percent),
+                ("Of it, where a nearer part of the model sticks out over the true surface", "cracks/overlapped", percent),
                 ("Crack fraction off occluding contours", "cracks/off_contours", percent),
                 ("Front deficit (M6)", "cracks/front_deficit", percent),
                 ("Spill (M6) in parts per million", "cracks/spill", millionths),
@@ -124,8 +132,11 @@ impl Results {
         let names: Vec<&str> = columns.iter().map(|c| c.0.as_str()).collect();
         let _ = writeln!(out, "| method | {} |\n| --- |{}", names.join(" | "), " ---: |".repeat(columns.len()));
         for (m, runs) in &self.rows {
-            let cells: Vec<String> =
-                columns.iter().map(|(_, pointer, show)| self.mean(*m, pointer).map_or(NOTHING.to_owned(), show)).collect();
+            let cell = |pointer: &str, show: fn(f64) -> String| {
+                let Some(mean) = self.mean(*m, pointer) else { return NOTHING.to_owned() };
+                self.deviation(*m, pointer).map_or_else(|| show(mean), |d| format!("{} ± {}", show(mean), show(d)))
+            };
+            let cells: Vec<String> = columns.iter().map(|(_, pointer, show)| cell(pointer, *show)).collect();
             let seeds = if runs.len() > 1 { format!(" × {}", runs.len()) } else { String::new() };
             let _ = writeln!(out, "| {} {}{seeds} | {} |", m.id(), m.name(), cells.join(" | "));
         }
@@ -135,8 +146,11 @@ impl Results {
     /// Meshes of the models that have them.
     fn meshes(&self, out: &mut String) {
         let kinds = [("skin", "shaped by the splats, closed by the particles"), ("particles", "particles alone")];
-        let columns: [(&str, &str, fn(f64) -> String); 7] = [
+        let columns: [(&str, &str, fn(f64) -> String); 10] = [
             ("Chamfer / L", "chamfer", percent),
+            ("of what is photographed", "seen/chamfer", percent),
+            ("its p95", "seen/p95", percent),
+            ("outward", "seen/outward", percent),
             ("p95 / L", "p95", percent),
             ("Hausdorff / L", "hausdorff", percent),
             ("normals, mean °", "normal_mean_deg", two),
@@ -185,6 +199,7 @@ impl Results {
                 "largest_gap": self.mean(m, "/splats/uniformity/largest_gap"),
             },
             "m6_crack_fraction": per("cracks/crack_fraction"),
+            "m6_overlapped": per("cracks/overlapped"),
             "m6_off_contours": per("cracks/off_contours"),
             "m6_front_deficit": per("cracks/front_deficit"),
             "m6_spill": per("cracks/spill"),
@@ -195,6 +210,7 @@ impl Results {
                 "volume_error": self.filling(m, "volume_error"),
             },
             "m10_chamfer": self.mean(m, MESH),
+            "m10_chamfer_photographed": self.mean(m, "/meshes/skin/seen/chamfer"),
         })
     }
 }
@@ -259,7 +275,7 @@ mod tests {
         assert!(failed.iter().any(|l| l.contains("D3 cracks: B6 at most 1.00 % fails: 3.00 %")), "{failed:?}");
         assert!(failed.iter().any(|l| l.contains("a quarter of B5")) && failed.iter().any(|l| l.contains("B0 + 3 dB")), "{failed:?}");
         let text = r.to_markdown(&all, &json!({}));
-        assert!(text.contains("| B0 vanilla × 2 |") && text.contains("30.00 %"), "{text}");
+        assert!(text.contains("| B0 vanilla × 2 |") && text.contains("30.00 % ± 14.14 %"), "{text}");
         assert!(!text.contains("## Meshes"), "{text}");
         r.rows[1].1[0]["meshes"] =
             json!({ "skin": { "chamfer": 0.002, "watertight": true }, "particles": { "chamfer": 0.004, "watertight": false } });

@@ -13,7 +13,7 @@ use megas_metrics::fidelity::{SIZE, TrueView, TrueViews};
 use megas_metrics::image::psnr;
 use megas_metrics::mesh_view::MeshGeometry;
 use megas_metrics::surface::MeshDistance;
-use megas_model::{Camera, Mesh};
+use megas_model::{Camera, Mesh, Projection};
 use rayon::prelude::*;
 
 use crate::Failure;
@@ -46,6 +46,10 @@ pub struct Truth {
     pub volume: f64,
     /// Fraction of the vertices that a photograph shows; the others take the colour of the nearest that are shown.
     pub photographed: f64,
+    /// Which vertices of `mesh` those are.
+    seen: Vec<bool>,
+    /// Size of a pixel of the training photographs at the object, scene units.
+    pub pixel: f64,
     /// PSNR of the coloured surface against held-out photographs \[dB\]: no model can be judged better than that.
     pub psnr: f64,
     mesh: Mesh,
@@ -74,7 +78,9 @@ impl Truth {
         let surface = MeshDistance::new(&rough).map_err(|e| Failure::Input(format!("{}: {e}", path.display())))?;
         let stage = Stage::new(&rough.positions, mat3::identity()).ok_or_else(bad)?;
         let mut mesh = finely_divided(&Mesh { colours: Vec::new(), ..rough.clone() }, EDGE * stage.diagonal);
-        let photographed = photographed(&mut mesh, train, (HIDDEN * stage.diagonal) as f32);
+        let seen = photographed(&mut mesh, train, (HIDDEN * stage.diagonal) as f32);
+        let photographed = seen.iter().filter(|s| **s).count() as f64 / seen.len().max(1) as f64;
+        let pixel = pixel(train, vec3::cast(stage.scene([0.0, 0.0, 0.5 * stage.height])));
         let inside = Neighbours::new(&mesh.positions);
         let compare = |p: &Photo| {
             let view = TrueView::new(&mesh, p.camera);
@@ -87,12 +93,20 @@ impl Truth {
             volume: volume(&rough),
             delivered: rough,
             photographed,
+            seen,
+            pixel,
             psnr,
             mesh,
             inside,
             views,
             states: BTreeMap::new(),
         })
+    }
+
+    /// Whether a photograph shows the place of the true surface nearest to `x`.
+    pub fn is_photographed(&self, x: [f64; 3]) -> bool {
+        let near = self.inside.as_ref().and_then(|t| t.nearest(&vec3::cast(x), 1).first().map(|n| n.0));
+        near.is_some_and(|i| self.seen[i as usize])
     }
 
     /// The object after a deformation; it is made when first asked for.
@@ -122,6 +136,17 @@ impl Truth {
     }
 }
 
+/// Median size of a pixel at a place.
+fn pixel(photos: &[Photo], middle: [f32; 3]) -> f64 {
+    let size = |p: &Photo| match p.camera.projection {
+        Projection::Pinhole { fx, .. } => f64::from(vec3::norm(vec3::sub(p.camera.center(), middle)) / fx),
+        Projection::Orthographic { scale } => f64::from(scale).recip(),
+    };
+    let mut sizes: Vec<f64> = photos.iter().map(size).collect();
+    sizes.sort_unstable_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).copied().unwrap_or(0.0)
+}
+
 /// Volume of a closed mesh, whichever way round it is.
 fn volume(m: &Mesh) -> f64 {
     let v = |i: u32| vec3::cast::<f32, f64>(m.positions[i as usize]);
@@ -129,8 +154,8 @@ fn volume(m: &Mesh) -> f64 {
 }
 
 /// Gives every vertex the mean of the photographed colours over the views that show it, weighted by the squared cosine. The
-/// light is the photographs': it moves with the surface, as it does with splats. Returns the fraction of vertices shown.
-fn photographed(mesh: &mut Mesh, photos: &[Photo], hidden: f32) -> f64 {
+/// light is the photographs': it moves with the surface, as it does with splats. Returns which vertices are shown.
+fn photographed(mesh: &mut Mesh, photos: &[Photo], hidden: f32) -> Vec<bool> {
     let normals = vertex_normals(mesh);
     let mut sum = vec![[0.0f32; 4]; mesh.positions.len()];
     for photo in photos {
@@ -176,7 +201,7 @@ fn photographed(mesh: &mut Mesh, photos: &[Photo], hidden: f32) -> f64 {
         own.or_else(near).map_or([0.5; 3], |i| [0, 1, 2].map(|c| sum[i][c] / sum[i][3]))
     };
     mesh.colours = (0..sum.len()).into_par_iter().with_min_len(256).map(colour).collect();
-    seen.len() as f64 / sum.len().max(1) as f64
+    sum.iter().map(|s| s[3] > 0.0).collect()
 }
 
 fn vertex_normals(mesh: &Mesh) -> Vec<[f32; 3]> {

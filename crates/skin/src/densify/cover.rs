@@ -16,6 +16,7 @@ use megas_math::{Vec3, vec3};
 use megas_raster::{Gaussians, pack_covariance, unpack_covariance};
 use rayon::prelude::*;
 
+use super::rim;
 use crate::rows::Rows;
 
 /// κ: standard deviation per distance. Fresh models have a half and more.
@@ -32,12 +33,15 @@ const LEAST_SECTORS: usize = 3;
 const WIDEST: f32 = 4.0;
 /// Rise of a neighbour over the plane, per distance in it, up to which it is of the same sheet.
 const SLOPE: f32 = 0.7;
+/// Share of a neighbour's squared distance that must lie in the plane to count as being in a direction at all.
+const STEEP: f32 = 0.05;
 /// Share of the new value in the running mean, which gets one every second frame.
 const NEW: f32 = 0.4;
 
-const SECTORS: usize = 6;
+/// Parts of the plane around a Gaussian.
+pub(super) const SECTORS: usize = 6;
 
-/// In-plane tensors `C` (world axes, packed like covariances) of the surface; zero: does not grow.
+/// In-plane tensors `C` (world axes, packed like covariances) of the surface; zero: does not grow. And where its rims are ([`rim`]).
 pub(crate) fn measure(
     surface: &Gaussians,
     normals: &[Vec3<f32>],
@@ -45,10 +49,12 @@ pub(crate) fn measure(
     wanted: impl Fn(usize) -> bool + Sync,
     delta: f32,
     state: &mut Vec<[f32; 6]>,
+    rim: &mut Vec<Vec3<f32>>,
     smooth: bool,
 ) {
     let n = surface.len();
     state.resize(n, [0.0; 6]);
+    rim.resize(n, [0.0; 3]);
     let present = |i: usize| surface.visible.get(i) != Some(&false);
     let asked: Vec<bool> = (0..n).map(|i| present(i) && wanted(i)).collect();
     if !asked.contains(&true) {
@@ -56,23 +62,35 @@ pub(crate) fn measure(
     }
     let reach = REACH * MOST * delta;
     let rows = Rows::new(&surface.mean, 0.5 * reach);
-    state.par_iter_mut().with_min_len(256).enumerate().filter(|(i, _)| asked[*i]).for_each(|(i, kept)| {
-        let fresh = tensor(&rows, surface.mean[i], normals[i], reach, |j| present(j) && object[j] == object[i] && j != i, normals);
+    state.par_iter_mut().zip(rim.par_iter_mut()).with_min_len(256).enumerate().filter(|(i, _)| asked[*i]).for_each(|(i, (kept, rim))| {
+        let (fresh, edge) = tensor(&rows, surface.mean[i], normals[i], reach, |j| present(j) && object[j] == object[i] && j != i, normals);
         let first = !smooth || kept[0] + kept[3] + kept[5] == 0.0;
         let share = if first { 1.0 } else { NEW };
         for (k, f) in kept.iter_mut().zip(fresh) {
             *k += share * (f - *k);
         }
+        for (k, f) in rim.iter_mut().zip(edge) {
+            *k += share * (f - *k);
+        }
     });
 }
 
-/// `C` around one place.
-fn tensor(rows: &Rows, x: Vec3<f32>, normal: Vec3<f32>, reach: f32, mine: impl Fn(usize) -> bool, normals: &[Vec3<f32>]) -> [f32; 6] {
+/// `C` and rim around one place.
+fn tensor(
+    rows: &Rows,
+    x: Vec3<f32>,
+    normal: Vec3<f32>,
+    reach: f32,
+    mine: impl Fn(usize) -> bool,
+    normals: &[Vec3<f32>],
+) -> ([f32; 6], [f32; 3]) {
     if vec3::dot(normal, normal) < 0.25 {
-        return [0.0; 6];
+        return ([0.0; 6], [0.0; 3]);
     }
     let (t1, t2) = vec3::frame_from_normal(normal);
     let mut least = [f32::INFINITY; SECTORS];
+    // Sectors with anything of the object that is not above or below.
+    let mut any = [false; SECTORS];
     // Nearest first costs less than a wide search everywhere: most places are as dense as ever.
     let mut radius = 0.4 * reach;
     loop {
@@ -80,12 +98,15 @@ fn tensor(rows: &Rows, x: Vec3<f32>, normal: Vec3<f32>, reach: f32, mine: impl F
             let j = rows.item[s] as usize;
             let h = vec3::dot(d, normal);
             let flat = d2 - h * h;
-            if h * h > SLOPE * SLOPE * flat || flat <= 0.0 || !mine(j) || vec3::dot(normal, normals[j]) <= 0.0 {
+            if flat <= STEEP * d2 || !mine(j) {
                 return;
             }
             // `d` points away from the neighbour, which makes no difference to u uᵀ but does to the sector.
-            let (a, b) = (-vec3::dot(d, t1), -vec3::dot(d, t2));
-            let k = sector(a, b);
+            let k = sector(-vec3::dot(d, t1), -vec3::dot(d, t2));
+            any[k] = true;
+            if h * h > SLOPE * SLOPE * flat || vec3::dot(normal, normals[j]) <= 0.0 {
+                return;
+            }
             least[k] = least[k].min(flat);
         });
         if radius >= reach || least.iter().all(|v| v.is_finite()) {
@@ -95,7 +116,7 @@ fn tensor(rows: &Rows, x: Vec3<f32>, normal: Vec3<f32>, reach: f32, mine: impl F
     }
     let found: Vec<f32> = least.iter().copied().filter(|v| v.is_finite()).collect();
     if found.len() < LEAST_SECTORS {
-        return [0.0; 6];
+        return ([0.0; 6], [0.0; 3]);
     }
     // Beyond an edge there is nothing to meet: as far as on the other sides, no farther.
     let nearest = found.iter().copied().fold(f32::INFINITY, f32::min);
@@ -110,7 +131,8 @@ fn tensor(rows: &Rows, x: Vec3<f32>, normal: Vec3<f32>, reach: f32, mine: impl F
     let f = KAPPA * KAPPA * 2.0 / SECTORS as f32;
     let most = (reach / REACH) * (reach / REACH);
     let [a, b, d] = limit(c.map(|v| f * v), |v| v.clamp(0.0, most));
-    spread(t1, t2, a, b, d)
+    let distance = (found.iter().sum::<f32>() / found.len() as f32).sqrt();
+    (spread(t1, t2, a, b, d), rim::edge(any, distance, reach, t1, t2))
 }
 
 fn sector(a: f32, b: f32) -> usize {
@@ -190,8 +212,8 @@ mod tests {
 
     fn grown(dx: f32, dy: f32, object: &[u16]) -> (Gaussians, Gaussians) {
         let (before, normals) = sheet(dx, dy);
-        let (mut g, mut state) = (before.clone(), Vec::new());
-        measure(&g, &normals, object, |_| true, 0.3, &mut state, true);
+        let (mut g, mut state, mut rim) = (before.clone(), Vec::new(), Vec::new());
+        measure(&g, &normals, object, |_| true, 0.3, &mut state, &mut rim, true);
         grow(&mut g, &normals, &state);
         (before, g)
     }

@@ -10,6 +10,7 @@ mod detect;
 mod fade;
 mod kernels;
 mod normals;
+mod rim;
 mod settings;
 
 use megas_math::{Vec3, sh, vec3};
@@ -91,6 +92,8 @@ pub struct DensifyState {
     pub normal: Vec<Vec3<f32>>,
     /// What the Gaussians of the surface grow to (see [`Densifier::cover`]); empty before the first that melts.
     pub cover: Vec<[f32; 6]>,
+    /// Where it ends: out over the edge, as long as that is certain.
+    pub rim: Vec<[f32; 3]>,
 }
 
 /// Figures of one frame.
@@ -179,6 +182,7 @@ impl Densifier {
             && state.colour.len() == n
             && state.normal.len() == n
             && (state.cover.is_empty() || state.cover.len() == self.anatomy.surface_object.len())
+            && state.rim.len() == state.cover.len()
             && state.scores.len() == self.settings.turns.max(1)
             && state.scores.iter().all(|s| s.len() == all)
             && state.sample_spacing.len() == self.objects.len();
@@ -188,7 +192,7 @@ impl Densifier {
         fits
     }
 
-    /// Lets molten Gaussians of the surface grow where the flow has drawn them apart. Call it before [`Densifier::advance`] of the same
+    /// Lets molten Gaussians of the surface grow where the flow has drawn them apart, and trims them where it has torn or cut it. Call it before [`Densifier::advance`] of the same
     /// frame. Returns how many have grown.
     pub fn cover(&mut self, surface: &mut Gaussians, phase: &[u8]) -> usize {
         if !self.settings.cover {
@@ -196,7 +200,7 @@ impl Densifier {
         }
         self.find_normals(surface, phase);
         self.has_normals = true;
-        let state = &mut self.state.cover;
+        let (state, rim) = (&mut self.state.cover, &mut self.state.rim);
         // What has grown once goes on after it has frozen.
         let grown = |i: usize| state.get(i).is_some_and(|c| c[0] + c[3] + c[5] > 0.0);
         // Neighbours take turns, except where nothing is known yet.
@@ -204,8 +208,10 @@ impl Densifier {
         let wanted = |i: usize| if grown(i) { (i + turn).is_multiple_of(2) } else { phase.get(i).is_some_and(|p| *p != 0) };
         let wanted: Vec<bool> = (0..surface.len()).map(wanted).collect();
         let (object, delta) = (&self.anatomy.surface_object, self.anatomy.spacing);
-        cover::measure(surface, &self.normals, object, |i| wanted[i], delta, state, self.settings.hysteresis);
-        cover::grow(surface, &self.normals, state)
+        cover::measure(surface, &self.normals, object, |i| wanted[i], delta, state, rim, self.settings.hysteresis);
+        let grown = cover::grow(surface, &self.normals, state);
+        rim::trim(surface, rim);
+        grown
     }
 
     fn find_normals(&mut self, surface: &Gaussians, phase: &[u8]) {

@@ -218,6 +218,14 @@ impl Imls {
 }
 
 impl Samples {
+    /// The samples moved out along their normals: means of splats lie below the surface that they draw (see [`crate::lost_depth`]).
+    pub fn raised(mut self, by: f32) -> Self {
+        for (x, n) in self.position.iter_mut().zip(&self.normal) {
+            *x = vec3::add_scaled(*x, *n, by);
+        }
+        self
+    }
+
     /// The samples at `indices`.
     pub fn select(&self, indices: &[usize]) -> Self {
         let pick = |v: &[Vec3<f32>]| indices.iter().map(|&i| v[i]).collect();
