@@ -1,6 +1,6 @@
 //! Wall and process-CPU clocks, medians, and the keys every scene prints.
 
-pub use megas_validation::cost::{measure, median};
+pub use megas_validation::timing::{measure, median};
 
 /// One-minute load average, or 0 where the system does not tell.
 pub fn load() -> f64 {

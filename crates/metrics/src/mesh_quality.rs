@@ -117,57 +117,70 @@ impl MeshShape {
 impl MeshDifference {
     /// Compares two meshes, given prepared, at `samples` points of each; `diagonal` is L. The second is the true one.
     pub fn new(a: (&Mesh, &MeshDistance), b: (&Mesh, &MeshDistance), diagonal: f64, samples: usize) -> Self {
-        Self::of_part(a, b, diagonal, samples, |_| true)
+        Self::with_part(a, b, diagonal, samples, |_| false).0
     }
 
-    /// The same for a part of the true surface: its points for which `counts` says so, and the points of `a` whose nearest of `b` is such.
-    pub fn of_part(
+    /// The same, and once more for a part of the true surface: its points for which `counts` says so, and the points of `a` whose nearest
+    /// of `b` is such.
+    pub fn with_part(
         a: (&Mesh, &MeshDistance),
         b: (&Mesh, &MeshDistance),
         diagonal: f64,
         samples: usize,
         counts: impl Fn(Vec3<f64>) -> bool + Sync,
-    ) -> Self {
-        struct Pair {
-            distance: f64,
-            angle: f64,
-            /// How far the point of `a` is outside of `b`.
-            outward: f64,
-        }
+    ) -> (Self, Self) {
         let pair = |x: Vec3<f32>, forth: bool| {
             let x = vec3::cast::<f32, f64>(x);
             let (own, other) = if forth { (a, b) } else { (b, a) };
             let there = other.1.closest(x);
-            if !counts(if forth { there.point } else { x }) {
-                return None;
-            }
             let n = normal(corners(own.0, own.0.triangles[own.1.closest(x).triangle as usize]));
             let m = normal(corners(other.0, other.0.triangles[there.triangle as usize]));
             let outward = vec3::dot(vec3::sub(x, there.point), m).signum() * there.distance;
-            Some(Pair { distance: there.distance / diagonal, angle: angle(n, m), outward: outward / diagonal })
+            Pair {
+                distance: there.distance / diagonal,
+                angle: angle(n, m),
+                outward: outward / diagonal,
+                counts: counts(if forth { there.point } else { x }),
+            }
         };
         let one = |own: &MeshDistance, forth: bool| -> Vec<Pair> {
-            own.sample(samples, 7).par_iter().with_min_len(256).filter_map(|&x| pair(x, forth)).collect()
+            own.sample(samples, 7).par_iter().with_min_len(256).map(|&x| pair(x, forth)).collect()
         };
-        let (forth, back) = (one(a.1, true), one(b.1, false));
+        let (mut forth, mut back) = (one(a.1, true), one(b.1, false));
+        let whole = Self::of(&forth, &back);
+        forth.retain(|p| p.counts);
+        back.retain(|p| p.counts);
+        (whole, Self::of(&forth, &back))
+    }
+
+    fn of(forth: &[Pair], back: &[Pair]) -> Self {
         let mean = |v: &[Pair], f: fn(&Pair) -> f64| v.iter().map(f).sum::<f64>() / v.len().max(1) as f64;
-        let chamfer = 0.5 * (mean(&forth, |p| p.distance) + mean(&back, |p| p.distance));
-        let outward = mean(&forth, |p| p.outward);
-        let mut distances: Vec<f64> = forth.iter().chain(&back).map(|p| p.distance).collect();
-        let mut angles: Vec<f64> = forth.iter().chain(&back).map(|p| p.angle).collect();
+        let mut distances: Vec<f64> = forth.iter().chain(back).map(|p| p.distance).collect();
+        let mut angles: Vec<f64> = forth.iter().chain(back).map(|p| p.angle).collect();
         distances.sort_unstable_by(f64::total_cmp);
         angles.sort_unstable_by(f64::total_cmp);
         let at = |v: &[f64], q: f64| v.get(((v.len() as f64 * q) as usize).min(v.len().saturating_sub(1))).copied().unwrap_or(0.0);
+        let to_truth = mean(forth, |p| p.distance);
         Self {
-            chamfer,
-            to_truth: mean(&forth, |p| p.distance),
-            outward,
+            chamfer: 0.5 * (to_truth + mean(back, |p| p.distance)),
+            to_truth,
+            outward: mean(forth, |p| p.outward),
             hausdorff: at(&distances, 1.0),
             p95: at(&distances, 0.95),
             normal_mean: angles.iter().sum::<f64>() / angles.len().max(1) as f64,
             normal_p95: at(&angles, 0.95),
         }
     }
+}
+
+/// A point of one mesh and the nearest of the other.
+struct Pair {
+    distance: f64,
+    angle: f64,
+    /// How far the point of the first mesh is outside of the second.
+    outward: f64,
+    /// It belongs to the part that is asked for.
+    counts: bool,
 }
 
 /// Moves the vertices of a mesh as the 8 nearest particles move on average between two frames. Particles keep their order.
@@ -251,7 +264,7 @@ mod tests {
         assert!((d.outward + 0.05).abs() < 0.002 && (d.to_truth - 0.05).abs() < 0.002, "{d:?}");
         let lifted = Mesh { positions: b.positions.iter().map(|x| [x[0], x[1], x[2].max(-0.5)]).collect(), ..b.clone() };
         let dl = MeshDistance::new(&lifted).unwrap();
-        let upper = MeshDifference::of_part((&lifted, &dl), (&a, &da), 2.0, 4000, |x| x[2] > 0.0);
+        let upper = MeshDifference::with_part((&lifted, &dl), (&a, &da), 2.0, 4000, |x| x[2] > 0.0).1;
         assert!((upper.outward - 0.05).abs() < 0.003 && (upper.chamfer - 0.05).abs() < 0.003 && upper.hausdorff < 0.06, "{upper:?}");
         let same = MeshDifference::new((&a, &da), (&a, &da), 2.0, 1000);
         assert!(same.chamfer < 1e-6 && same.normal_mean < 1e-6);

@@ -22,6 +22,7 @@ mod render;
 mod room;
 mod run;
 mod scenery;
+mod seeds;
 mod simulate;
 mod skin;
 mod source;

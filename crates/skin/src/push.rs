@@ -29,7 +29,7 @@ pub fn rebase_covariance(b: Mat3<f64>, sigma0: Mat3<f64>) -> Mat3<f64> {
     mat3::symmetrize(mat3::congruence(b, sigma0))
 }
 
-/// Least stretch that [`squeeze`] follows: the simulator limits what it exports to the same (simulation.md §7.3).
+/// Least stretch that [`squeeze`] follows, the design's bound of exported stretches (simulation.md §7.3; the simulator exports down to 0.2).
 const LEAST: f64 = 0.5;
 
 /// Lets a Gaussian become as narrow as the flow makes its surroundings: `Σ ← QΣQ`, `Q = U diag(q) Uᵀ`, where `F = U σ Vᵀ` is the total

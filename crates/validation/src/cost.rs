@@ -1,7 +1,5 @@
 //! V47: what a second of animation costs, against the matter and against the empty box (simulation.md §8.6). A record, not a gate.
 
-use std::time::Instant;
-
 use megas_model::{FLAG_INTERNAL, Points};
 use megas_sim::air::{Face, Lattice, LatticeSettings, SimulatedAir, Storage};
 use megas_sim::collider::{Collider, Shape, Thermal};
@@ -12,6 +10,7 @@ use megas_sim::solver::{Coupling, Solver, SolverConfig};
 use megas_sim::source::Film;
 use megas_sim::thermal::{AirModel, ThermalOptions};
 
+use crate::timing::{measure, median};
 use crate::{Case, Outcome, Plot, Row, Tier};
 
 /// The case of this module.
@@ -22,34 +21,6 @@ pub const CASES: &[Case] = &[Case::new("V47", "cost of a second, against matter 
          boxes up to eight times the size; processor time of all threads",
     )
     .formula("proportional to points · substeps; independent of the box with film air, proportional to it with simulated air")];
-
-/// Processor seconds (user and system, all threads) that this process has used; 0 where the system does not tell.
-pub fn cpu_seconds() -> f64 {
-    // Linux: the scheduler's nanosecond counters of every thread; summed, they also count the work of the pool.
-    let mut total = 0.0;
-    if let Ok(tasks) = std::fs::read_dir("/proc/self/task") {
-        for t in tasks.flatten() {
-            if let Ok(s) = std::fs::read_to_string(t.path().join("schedstat")) {
-                total += s.split_whitespace().next().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9;
-            }
-        }
-    }
-    total
-}
-
-/// Runs `work` once and returns wall and processor seconds.
-pub fn measure(work: impl FnOnce()) -> (f64, f64) {
-    let (t, c) = (Instant::now(), cpu_seconds());
-    work();
-    (t.elapsed().as_secs_f64(), cpu_seconds() - c)
-}
-
-/// Median; `values` must not be empty.
-pub fn median(values: &[f64]) -> f64 {
-    let mut v = values.to_vec();
-    v.sort_by(f64::total_cmp);
-    v[v.len() / 2]
-}
 
 /// The benchmark scene c1.
 #[derive(Clone, Copy, Debug)]
@@ -212,6 +183,7 @@ fn cost() -> Outcome {
     };
     let matter: Vec<Cost> = [16, 24, 32, 40, 48].into_iter().filter_map(|n| run(n, 2 * n, None)).collect();
     let boxes = [48, 64, 96, 128, 192];
+    let small = matter.get(1).map_or(0, |c| c.points);
     let film: Vec<[f64; 2]> =
         boxes.into_iter().filter_map(|n| Some([(n as f64).powi(3), 24.0 * run(24, n, None)?.core_s_per_frame])).collect();
     let flowing: Vec<[f64; 2]> =
@@ -243,7 +215,7 @@ fn cost() -> Outcome {
     }
     for (name, curve) in [("film air", &film), ("simulated air", &flowing)] {
         let list: Vec<String> = curve.iter().map(|[n, s]| format!("{:.0}³: {s:.2}", n.cbrt())).collect();
-        outcome = outcome.note(format!("{name}, 12 864 points, core-seconds per second by box: {}", list.join(", ")));
+        outcome = outcome.note(format!("{name}, {small} points, core-seconds per second by box: {}", list.join(", ")));
     }
     outcome.note(format!("lattice of flow and temperature, 64³: {:.0} M node updates per core-second", lattice_rate()))
 }

@@ -19,6 +19,7 @@ pub mod run;
 pub mod slumps;
 pub mod splats;
 mod text;
+pub mod timing;
 pub mod transfers;
 
 pub use outcome::{Curve, Outcome, Plot, Row};

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 
+use crate::timing::processor_seconds;
 use crate::{Case, Outcome, Row, Tier};
 
 /// A case that ran.
@@ -108,17 +109,6 @@ pub fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> R + Send)
         Ok(pool) => pool.install(work),
         Err(_) => work(),
     }
-}
-
-/// Processor time of this process \[s\]. Threads that have ended count too: cases make their own pools.
-fn processor_seconds() -> Option<f64> {
-    /// Clock ticks per second in `/proc`, the same on every Linux.
-    const TICKS: f64 = 100.0;
-    let text = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The name of the program, in parentheses, may hold spaces.
-    let mut fields = text.rsplit_once(')')?.1.split_whitespace().skip(11);
-    let mut next = || fields.next()?.parse::<f64>().ok();
-    Some((next()? + next()?) / TICKS)
 }
 
 /// Results of a whole run.

@@ -27,8 +27,7 @@ fn one(model: &Filled, skin: Option<&Imls>, truth: &Truth) -> Value {
     let Ok(distance) = MeshDistance::new(&mesh) else { return Value::Null };
     let shape = MeshShape::new(&mesh, l);
     let (own, right) = ((&mesh, &distance), (&truth.delivered, &truth.surface));
-    let difference = MeshDifference::new(own, right, l, SAMPLES);
-    let seen = MeshDifference::of_part(own, right, l, SAMPLES, |x| truth.is_photographed(x));
+    let (difference, seen) = MeshDifference::with_part(own, right, l, SAMPLES, |x| truth.is_photographed(x));
     json!({
         "triangles": mesh.triangles.len(),
         "chamfer": difference.chamfer,

@@ -201,7 +201,7 @@ fn write(job: &ClaimsJob, name: &str, truth: &mut Truth, done: &[Measured]) -> R
         "modes": job.scope.modes.iter().map(|m| m.name()).collect::<Vec<_>>(),
         "cells": model::CELLS,
         "truth_psnr": truth.psnr,
-        "photographed": truth.photographed,
+        "photographed": truth.photographed(),
     });
     let folder = job.out.join(name);
     write_text(&folder.join("claims.md"), &results.to_markdown(&checks, &settings))?;

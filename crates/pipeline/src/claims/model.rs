@@ -134,7 +134,8 @@ pub fn posed(method: Contender, model: &Filled, stage: &Stage, d: Deformation, m
     if method.shows_inside() && !model.particles.is_empty() { with_inside(model, stage, d, surface) } else { surface }
 }
 
-/// A gradient as the simulator exports it (simulation.md §7.3): stretches within [½, 2].
+/// A gradient within the design's bounds of exported stretches (simulation.md §7.3), [½, 2]. Not `limit_total`: the simulator itself exports
+/// down to 0.2 and limits the volume.
 fn limited(f: Mat3<f64>) -> Mat3<f64> {
     let d = svd::svd(f);
     d.with_values(d.s.map(|s| s.clamp(0.5, 2.0)))

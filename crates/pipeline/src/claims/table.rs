@@ -7,6 +7,7 @@ use serde_json::{Map, Value, json};
 
 use super::measure::states;
 use super::methods::Contender;
+use crate::seeds;
 use crate::study::Check;
 
 /// In a cell without a figure.
@@ -24,18 +25,15 @@ pub struct Results {
 }
 
 impl Results {
-    /// Mean over the seeds of the number at a JSON pointer.
-    pub fn mean(&self, m: Contender, pointer: &str) -> Option<f64> {
-        let runs = &self.rows.iter().find(|r| r.0 == m)?.1;
-        let values: Vec<f64> = runs.iter().filter_map(|f| f.pointer(pointer)?.as_f64()).collect();
-        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    /// The number at a JSON pointer, of every seed that has it.
+    fn values(&self, m: Contender, pointer: &str) -> Vec<f64> {
+        let runs = self.rows.iter().filter(|r| r.0 == m).flat_map(|r| &r.1);
+        runs.filter_map(|f| f.pointer(pointer)?.as_f64()).collect()
     }
 
-    /// Standard deviation over several seeds.
-    fn deviation(&self, m: Contender, pointer: &str) -> Option<f64> {
-        let (mean, runs) = (self.mean(m, pointer)?, &self.rows.iter().find(|r| r.0 == m)?.1);
-        let values: Vec<f64> = runs.iter().filter_map(|f| f.pointer(pointer)?.as_f64()).collect();
-        (values.len() > 1).then(|| (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt())
+    /// Mean over the seeds of the number at a JSON pointer.
+    pub fn mean(&self, m: Contender, pointer: &str) -> Option<f64> {
+        seeds::mean(&self.values(m, pointer))
     }
 
     fn deformed(&self, m: Contender, d: Deformation, mode: Carry, rest: &str) -> Option<f64> {
@@ -133,8 +131,9 @@ impl Results {
         let _ = writeln!(out, "| method | {} |\n| --- |{}", names.join(" | "), " ---: |".repeat(columns.len()));
         for (m, runs) in &self.rows {
             let cell = |pointer: &str, show: fn(f64) -> String| {
-                let Some(mean) = self.mean(*m, pointer) else { return NOTHING.to_owned() };
-                self.deviation(*m, pointer).map_or_else(|| show(mean), |d| format!("{} ± {}", show(mean), show(d)))
+                let values = self.values(*m, pointer);
+                let Some(mean) = seeds::mean(&values) else { return NOTHING.to_owned() };
+                seeds::deviation(&values).map_or_else(|| show(mean), |d| format!("{} ± {}", show(mean), show(d)))
             };
             let cells: Vec<String> = columns.iter().map(|(_, pointer, show)| cell(pointer, *show)).collect();
             let seeds = if runs.len() > 1 { format!(" × {}", runs.len()) } else { String::new() };

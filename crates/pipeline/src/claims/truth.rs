@@ -44,9 +44,7 @@ pub struct Truth {
     pub surface: MeshDistance,
     /// Its volume.
     pub volume: f64,
-    /// Fraction of the vertices that a photograph shows; the others take the colour of the nearest that are shown.
-    pub photographed: f64,
-    /// Which vertices of `mesh` those are.
+    /// Which vertices of `mesh` a photograph shows; the others take the colour of the nearest that are shown.
     seen: Vec<bool>,
     /// Size of a pixel of the training photographs at the object, scene units.
     pub pixel: f64,
@@ -79,7 +77,6 @@ impl Truth {
         let stage = Stage::new(&rough.positions, mat3::identity()).ok_or_else(bad)?;
         let mut mesh = finely_divided(&Mesh { colours: Vec::new(), ..rough.clone() }, EDGE * stage.diagonal);
         let seen = photographed(&mut mesh, train, (HIDDEN * stage.diagonal) as f32);
-        let photographed = seen.iter().filter(|s| **s).count() as f64 / seen.len().max(1) as f64;
         let pixel = pixel(train, vec3::cast(stage.scene([0.0, 0.0, 0.5 * stage.height])));
         let inside = Neighbours::new(&mesh.positions);
         let compare = |p: &Photo| {
@@ -92,7 +89,6 @@ impl Truth {
             surface,
             volume: volume(&rough),
             delivered: rough,
-            photographed,
             seen,
             pixel,
             psnr,
@@ -101,6 +97,11 @@ impl Truth {
             views,
             states: BTreeMap::new(),
         })
+    }
+
+    /// Fraction of the vertices that a photograph shows.
+    pub fn photographed(&self) -> f64 {
+        self.seen.iter().filter(|s| **s).count() as f64 / self.seen.len().max(1) as f64
     }
 
     /// Whether a photograph shows the place of the true surface nearest to `x`.

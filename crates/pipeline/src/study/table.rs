@@ -6,6 +6,7 @@ use megas_reconstruct::Method;
 use serde_json::{Map, Value, json};
 
 use super::claims::{Check, checks};
+use crate::seeds;
 
 /// A column of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,16 +133,12 @@ impl Row {
         self.runs.iter().filter_map(|f| measure.of(f)).collect()
     }
 
-    /// Mean over the seeds.
     fn mean(&self, measure: Measure) -> Option<f64> {
-        let v = self.values(measure);
-        (!v.is_empty()).then(|| v.iter().sum::<f64>() / v.len() as f64)
+        seeds::mean(&self.values(measure))
     }
 
-    /// Standard deviation over the seeds; `None` for fewer than two.
     fn deviation(&self, measure: Measure) -> Option<f64> {
-        let (v, mean) = (self.values(measure), self.mean(measure)?);
-        (v.len() > 1).then(|| (v.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (v.len() - 1) as f64).sqrt())
+        seeds::deviation(&self.values(measure))
     }
 }
 

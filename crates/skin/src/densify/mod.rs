@@ -192,8 +192,8 @@ impl Densifier {
         fits
     }
 
-    /// Lets molten Gaussians of the surface grow where the flow has drawn them apart, and trims them where it has torn or cut it. Call it before [`Densifier::advance`] of the same
-    /// frame. Returns how many have grown.
+    /// Lets molten Gaussians of the surface grow where the flow has drawn them apart, and trims them where it has torn or cut it. Call it
+    /// before [`Densifier::advance`] of the same frame. Returns how many have grown.
     pub fn cover(&mut self, surface: &mut Gaussians, phase: &[u8]) -> usize {
         if !self.settings.cover {
             return 0;
