@@ -114,7 +114,7 @@ mod tests {
     use super::*;
 
     fn stage() -> Stage {
-        Stage { axes: quat::to_mat3([0.9, 0.1, 0.3, -0.2]), origin: [0.1, 0.2, -0.3], height: 1.8, diagonal: 2.5 }
+        Stage { axes: quat::to_mat3([0.9, 0.1, 0.3, -0.2]), origin: [0.1, 0.2, -0.3], height: 1.8, diagonal: 2.5, amount: 1.0 }
     }
 
     fn splats(count: usize) -> Splats {

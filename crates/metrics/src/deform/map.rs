@@ -81,6 +81,8 @@ pub struct Stage {
     pub height: f64,
     /// Diagonal L of its box \[scene units\].
     pub diagonal: f64,
+    /// Share of the way to the deformed place that points have gone; 1 but in films.
+    pub amount: f64,
 }
 
 impl Stage {
@@ -95,24 +97,30 @@ impl Stage {
         let size = vec3::sub(high, low);
         let base = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]];
         let ok = size.iter().all(|s| *s > 0.0 && s.is_finite());
-        ok.then(|| Self { axes, origin: mat3::tmul_vec(axes, base), height: size[2], diagonal: vec3::norm(size) })
+        ok.then(|| Self { axes, origin: mat3::tmul_vec(axes, base), height: size[2], diagonal: vec3::norm(size), amount: 1.0 })
+    }
+
+    /// The same on the way: `X + amount (Φ(X) − X)`, for films of a deformation. `amount` in [0, 1]; turns ([`Deformation::Twist`])
+    /// shrink on the way, the others stay invertible.
+    pub fn partly(self, amount: f64) -> Self {
+        Self { amount, ..self }
     }
 
     /// Φ(X): where a point of the scene goes.
     pub fn map(&self, d: Deformation, point: Vec3<f64>) -> Vec3<f64> {
-        let x = self.local(point);
-        let y = self.map_local(d, x, x[0] < 0.0);
-        self.scene(y)
+        self.map_half(d, point, self.local(point)[0] < 0.0)
     }
 
     /// As [`Stage::map`], with the half that the point belongs to where the object is cut: `left` is x < 0.
     pub(super) fn map_half(&self, d: Deformation, point: Vec3<f64>, left: bool) -> Vec3<f64> {
-        self.scene(self.map_local(d, self.local(point), left))
+        let x = self.local(point);
+        self.scene(vec3::lerp(x, self.map_local(d, x, left), self.amount))
     }
 
     /// F = ∂Φ/∂X at a point of the scene.
     pub fn gradient(&self, d: Deformation, point: Vec3<f64>) -> Mat3<f64> {
-        let f = self.gradient_local(d, self.local(point));
+        let whole = self.gradient_local(d, self.local(point));
+        let f = mat3::add(mat3::scale(mat3::identity(), 1.0 - self.amount), mat3::scale(whole, self.amount));
         mat3::mul(mat3::transpose(self.axes), mat3::mul(f, self.axes))
     }
 
@@ -220,7 +228,7 @@ mod tests {
 
     fn stage() -> Stage {
         let axes = quat::to_mat3::<f64>([0.8, 0.3, -0.4, 0.2]);
-        Stage { axes, origin: [0.3, -0.2, 0.5], height: 2.1, diagonal: 2.9 }
+        Stage { axes, origin: [0.3, -0.2, 0.5], height: 2.1, diagonal: 2.9, amount: 1.0 }
     }
 
     #[test]
@@ -234,10 +242,10 @@ mod tests {
 
     #[test]
     fn gradients_are_the_derivatives_of_the_maps() {
-        let s = stage();
         let mut rng = Rng::new(3);
         let h = 1e-5;
-        for d in Deformation::ALL {
+        for (d, amount) in Deformation::ALL.into_iter().flat_map(|d| [(d, 1.0), (d, 0.4)]) {
+            let s = stage().partly(amount);
             for _ in 0..200 {
                 let local = [rng.range(-1.0, 1.0), rng.range(-1.0, 1.0), rng.range(0.0, s.height)];
                 if d == Deformation::Cut && local[0].abs() < 1e-3 {
@@ -278,7 +286,7 @@ mod tests {
 
     #[test]
     fn maps_do_what_their_names_say() {
-        let s = Stage { axes: mat3::identity(), origin: [0.0; 3], height: 2.0, diagonal: 3.0 };
+        let s = Stage { axes: mat3::identity(), origin: [0.0; 3], height: 2.0, diagonal: 3.0, amount: 1.0 };
         let close = |a: Vec3<f64>, b: Vec3<f64>| assert!(vec3::norm(vec3::sub(a, b)) < 1e-12, "{a:?} {b:?}");
         close(s.map(Deformation::Twist, [1.0, 0.0, 2.0]), [0.0, -1.0, 2.0]);
         close(s.map(Deformation::Twist, [1.0, 0.5, 0.0]), [1.0, 0.5, 0.0]);
@@ -288,6 +296,7 @@ mod tests {
         close(s.map(Deformation::Slump, [0.5, 0.0, 0.0]), [1.0, 0.0, 0.0]);
         close(s.map(Deformation::Cut, [0.1, 0.2, 0.3]), [0.34, 0.2, 0.3]);
         close(s.map(Deformation::Cut, [-0.1, 0.2, 0.3]), [-0.34, 0.2, 0.3]);
+        close(s.partly(0.5).map(Deformation::Cut, [-0.1, 0.2, 0.3]), [-0.22, 0.2, 0.3]);
         assert!((s.gradient(Deformation::Neck, [0.0, 0.3, 0.3])[0][0] - 6.0).abs() < 1e-12);
         let far = s.map(Deformation::Neck, [1.5, 0.2, 0.1]);
         close(far, [1.5 + 5.0 * 0.24 * 0.5 * PI.sqrt(), 0.2, 0.1]);

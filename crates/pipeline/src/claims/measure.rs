@@ -1,4 +1,4 @@
-//! One method on one object: M1–M8 (splatting.md §9.3), and its pictures for the sheet.
+//! One method on one object: M1–M8, M10, M11 (splatting.md §9.3), and its pictures for the sheet.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -12,6 +12,7 @@ use megas_raster::{Frame, Rasterizer};
 use megas_skin::bake_splats;
 use serde_json::{Map, Value, json};
 
+use super::coherence::coherence;
 use super::mesh::meshes;
 use super::methods::Contender;
 use super::model::{Filled, filled, posed};
@@ -60,6 +61,7 @@ pub fn measure(
     let by_rays = (method == Contender::B0).then(|| filled(&splats, false, &truth.surface, truth.volume).quality);
     // B6 has the mesh of B5.
     let meshes = (method == Contender::B5).then(|| meshes(&own, truth));
+    let coherence = (method == Contender::B6).then(|| coherence(&own, truth));
     let mut deformed = Map::new();
     let mut rasterizer = Rasterizer::new();
     for (k, d) in states().enumerate() {
@@ -93,6 +95,7 @@ pub fn measure(
         "filling_failed": own.failed,
         "internal": own.particles.len(),
         "meshes": meshes,
+        "coherence": coherence,
         "deformed": deformed,
         "seconds": begin.elapsed().as_secs_f64(),
     }))

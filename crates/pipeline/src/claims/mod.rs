@@ -3,6 +3,7 @@
 //! Models are trained or taken from a folder where `eval reconstruct` left them. Every method and seed has a folder of its
 //! own in `DIR`, so that a study that was stopped goes on; tables and sheet are written anew after each.
 
+mod coherence;
 mod measure;
 mod mesh;
 mod methods;
@@ -34,7 +35,7 @@ use truth::Truth;
 /// The mode whose pictures go on the sheet.
 const SHEET_MODE: Carry = Carry::ElasticLike;
 /// Bumped when figures change their meaning.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// How much is measured.
 #[derive(Clone, Debug, PartialEq)]

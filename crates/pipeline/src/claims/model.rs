@@ -113,6 +113,17 @@ fn judge(
 
 /// The model after a deformation, as the method draws it.
 pub fn posed(method: Contender, model: &Filled, stage: &Stage, d: Deformation, mode: Carry) -> Gaussians {
+    let surface = posed_surface(method, model, stage, d, mode);
+    if method.shows_inside() && !model.particles.is_empty() {
+        // A single frame shows at once what it selects.
+        with_inside(model, stage, d, surface, &mut densifier(model), 0.0)
+    } else {
+        surface
+    }
+}
+
+/// Its surface alone.
+pub fn posed_surface(method: Contender, model: &Filled, stage: &Stage, d: Deformation, mode: Carry) -> Gaussians {
     let refits = method.shows_inside() && d != Deformation::Rest;
     let clamp = |pushed: Mat3<f64>, rest: Mat3<f64>, total: Mat3<f64>| {
         if !method.clamps_needles() || d == Deformation::Rest {
@@ -131,7 +142,7 @@ pub fn posed(method: Contender, model: &Filled, stage: &Stage, d: Deformation, m
             surface.mean[i] = vec3::add_scaled(surface.mean[i], surface.normal[i], -(lost(i) * model.depth) as f32);
         }
     }
-    if method.shows_inside() && !model.particles.is_empty() { with_inside(model, stage, d, surface) } else { surface }
+    surface
 }
 
 /// A gradient within the design's bounds of exported stretches (simulation.md §7.3), [½, 2]. Not `limit_total`: the simulator itself exports
@@ -141,23 +152,30 @@ fn limited(f: Mat3<f64>) -> Mat3<f64> {
     d.with_values(d.s.map(|s| s.clamp(0.5, 2.0)))
 }
 
-/// Draws the particles that come to light, on top of the surface (§7).
-fn with_inside(model: &Filled, stage: &Stage, d: Deformation, surface: Gaussians) -> Gaussians {
-    let inside: Vec<[f32; 3]> = model.particles.par_iter().with_min_len(64).map(|&x| vec3::cast(stage.map(d, vec3::cast(x)))).collect();
+/// Where the particles are after a deformation.
+pub fn moved(model: &Filled, stage: &Stage, d: Deformation) -> Vec<[f32; 3]> {
+    model.particles.par_iter().with_min_len(64).map(|&x| vec3::cast(stage.map(d, vec3::cast(x)))).collect()
+}
+
+/// What seals the cracks of a model, before its first frame.
+pub fn densifier(model: &Filled) -> Densifier {
     let anatomy = Anatomy {
-        surface_object: vec![1; surface.len()],
-        inside_object: vec![1; inside.len()],
+        surface_object: vec![1; model.surface.len()],
+        inside_object: vec![1; model.particles.len()],
         inside_rgb: model.colour.clone(),
         spacing: model.spacing as f32,
     };
+    Densifier::new(anatomy, DensifySettings::default())
+}
+
+/// Draws the particles that come to light, on top of the surface (§7), `dt` seconds after the last frame.
+pub fn with_inside(model: &Filled, stage: &Stage, d: Deformation, mut surface: Gaussians, densifier: &mut Densifier, dt: f32) -> Gaussians {
+    let inside = moved(model, stage, d);
     // What these maps stand for is the flow of a melt.
     let phase = vec![if d == Deformation::Rest { Phase::Solid } else { Phase::Liquid } as u8; surface.len()];
-    let mut densifier = Densifier::new(anatomy, DensifySettings::default());
-    let mut surface = surface;
     densifier.cover(&mut surface, &phase);
     let frame = Deformed { surface: &surface, phase: &phase, inside: &inside, temperature: &[], gone: &[] };
-    // A single frame shows at once what it selects.
-    densifier.advance(&frame, &[], 0.0);
+    densifier.advance(&frame, &[], dt);
     let mut out = surface.clone();
     densifier.append(&frame, &mut out);
     out

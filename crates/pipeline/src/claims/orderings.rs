@@ -2,6 +2,7 @@
 
 use megas_metrics::deform::Deformation;
 
+use super::coherence::{self, Look};
 use super::methods::{Contender, EXTREME, SHAPED};
 use super::table::{Results, percent};
 use crate::study::Check;
@@ -13,6 +14,8 @@ const CRACKS_SHARE: f64 = 0.25;
 const GAIN: f64 = 3.0;
 /// Distance of meshes from the true surface \[L\].
 const CHAMFER: f64 = 0.003;
+/// Unrest of our mesh, in that of the density's.
+const CALM: f64 = 0.5;
 /// The filling.
 const IOU: f64 = 0.9;
 const HOLLOW: f64 = 0.02;
@@ -87,6 +90,15 @@ pub fn checks(r: &Results) -> Vec<Check> {
     }
     if let Some(chamfer) = r.mean(B5, "/meshes/skin/seen/chamfer") {
         say(format!("mesh at rest, what is photographed: Chamfer at most {} L", percent(CHAMFER)), chamfer <= CHAMFER, percent(chamfer));
+    }
+    for d in coherence::FILMS {
+        let unrest = |l: Look, key: &str| r.mean(B6, &format!("/coherence/{}/{}/{key}", d.id(), l.names().0));
+        for (what, key) in [("pictures", "beyond_truth"), ("normals", "normals_beyond_truth")] {
+            if let (Some(ours), Some(other)) = (unrest(Look::SkinMesh, key), unrest(Look::DensityMesh, key)) {
+                let claim = format!("{} film, unrest of {what}: the mesh at most half of the density's", d.id());
+                say(claim, ours <= CALM * other, format!("{:.2}, {:.2} thousandths", 1e3 * ours, 1e3 * other));
+            }
+        }
     }
     if let Some(hollow) = r.filling(A1, "hollow") {
         say(

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use megas_metrics::deform::{Carry, Deformation};
 use serde_json::{Map, Value, json};
 
+use super::coherence::{self, Look};
 use super::measure::states;
 use super::methods::Contender;
 use crate::seeds;
@@ -119,6 +120,7 @@ impl Results {
             let _ = writeln!(out, "B0 filled by rays: IoU {iou:.3}, hollow {}.\n", percent(hollow));
         }
         self.meshes(&mut out);
+        self.films(&mut out);
         out.push_str("## Orderings\n\n| claim | holds | numbers |\n| --- | --- | --- |\n");
         for c in checks {
             let _ = writeln!(out, "| {} | {} | {} |", c.claim, if c.holds { "yes" } else { "**no**" }, c.numbers);
@@ -175,6 +177,36 @@ impl Results {
         out.push('\n');
     }
 
+    /// Films of deformations, where they were made.
+    fn films(&self, out: &mut String) {
+        let columns: [(&str, &str, fn(f64) -> String); 6] = [
+            ("second difference", "second_difference", thousandths),
+            ("beyond the truth's", "beyond_truth", thousandths),
+            ("of normals, beyond the truth's", "normals_beyond_truth", thousandths),
+            ("Chamfer of a step / L", "chamfer", hundredths_of_percent),
+            ("p95 / L", "p95", hundredths_of_percent),
+            ("normals, °", "normal_deg", two),
+        ];
+        for d in coherence::FILMS {
+            let at = |look: Look, key: &str| self.mean(Contender::B6, &format!("/coherence/{}/{}/{key}", d.id(), look.names().0));
+            if at(Look::Splats, columns[0].1).is_none() {
+                continue;
+            }
+            let names = columns.map(|c| c.0).join(" | ");
+            let _ = writeln!(
+                out,
+                "## Unrest of a film of {} (M11), pictures in thousandths\n\n| drawn | {names} |\n| --- |{}",
+                d.id(),
+                " ---: |".repeat(6)
+            );
+            for look in Look::ALL {
+                let cells = columns.map(|(_, key, show)| at(look, key).map_or(NOTHING.to_owned(), show));
+                let _ = writeln!(out, "| {} | {} |", look.names().1, cells.join(" | "));
+            }
+            out.push('\n');
+        }
+    }
+
     /// The figures for machines: per method means of M1–M8.
     pub fn to_json(&self) -> Value {
         let methods: Map<String, Value> = self.rows.iter().map(|(m, runs)| (m.id().to_owned(), self.summary(*m, runs.len()))).collect();
@@ -208,6 +240,7 @@ impl Results {
                 "iou": self.filling(m, "iou"), "hollow": self.filling(m, "hollow"), "false_fill": self.filling(m, "false_fill"),
                 "volume_error": self.filling(m, "volume_error"),
             },
+            "m11": self.rows.iter().find(|r| r.0 == m).and_then(|r| r.1.first()).map(|f| f["coherence"].clone()),
             "m10_chamfer": self.mean(m, MESH),
             "m10_chamfer_photographed": self.mean(m, "/meshes/skin/seen/chamfer"),
         })
@@ -224,6 +257,14 @@ fn two(x: f64) -> String {
 
 fn three(x: f64) -> String {
     format!("{x:.3}")
+}
+
+fn thousandths(x: f64) -> String {
+    two(1e3 * x)
+}
+
+fn hundredths_of_percent(x: f64) -> String {
+    format!("{:.4} %", 100.0 * x)
 }
 
 fn four(x: f64) -> String {
@@ -281,5 +322,13 @@ mod tests {
         let text = r.to_markdown(&checks(&r), &json!({}));
         assert!(text.contains("the particles | 0.20 % |") && text.contains("| **no** |"), "{text}");
         assert_eq!(r.to_json()["B6"]["m6_crack_fraction"]["D5"], json!(0.03));
+        let look = |unrest: f64| json!({ "second_difference": 0.009, "beyond_truth": unrest, "normals_beyond_truth": 2.0 * unrest });
+        r.rows[2].1[0]["coherence"] = json!({ "D3": { "splats": look(0.002), "skin_mesh": look(0.001), "density_mesh": look(0.0019) } });
+        let text = r.to_markdown(&checks(&r), &json!({}));
+        assert!(text.contains("| mesh, shaped by the splats | 9.00 | 1.00 | 2.00 | – |"), "{text}");
+        assert!(
+            text.contains("| D3 film, unrest of pictures: the mesh at most half of the density's | **no** | 1.00, 1.90 thousandths |"),
+            "{text}"
+        );
     }
 }

@@ -112,29 +112,39 @@ impl Truth {
 
     /// The object after a deformation; it is made when first asked for.
     pub fn state(&mut self, d: Deformation) -> &State {
-        let Self { stage, mesh, inside, views, .. } = self;
-        self.states.entry(d).or_insert_with(|| {
-            let colour = |x: [f64; 3]| {
-                let near = inside.as_ref().map(|t| t.nearest(&vec3::cast(x), NEIGHBOURS)).unwrap_or_default();
-                let (mut sum, mut weight) = ([0.0; 3], 0.0);
-                for (i, d2) in near {
-                    let w = 1.0 / (d2 + 1e-9);
-                    sum = vec3::add_scaled(sum, mesh.colours[i as usize], w);
-                    weight += w;
-                }
-                sum.map(|c| if weight > 0.0 { c / weight } else { 0.5 })
+        if !self.states.contains_key(&d) {
+            let mesh = self.deformed(&self.stage, d);
+            let state = State {
+                cracks: CrackViews::new(&mesh, self.stage.diagonal),
+                views: TrueViews::new(&mesh, self.views, SIZE),
+                portrait: TrueView::new(&mesh, portrait(&mesh)),
             };
-            let mesh = deformed(mesh, stage, d, colour);
-            let (centre, radius) = box_sphere(&mesh);
-            let eye = vec3::add_scaled(centre, PORTRAIT_FROM, PORTRAIT_DISTANCE * radius);
-            let camera = Camera::look_at(eye, centre, [0.0, 0.0, 1.0], PORTRAIT_FIELD, PORTRAIT, PORTRAIT);
-            State {
-                cracks: CrackViews::new(&mesh, stage.diagonal),
-                views: TrueViews::new(&mesh, *views, SIZE),
-                portrait: TrueView::new(&mesh, camera),
-            }
-        })
+            self.states.insert(d, state);
+        }
+        &self.states[&d]
     }
+
+    /// The coloured surface after a deformation on `stage`, which may be on its way.
+    pub fn deformed(&self, stage: &Stage, d: Deformation) -> Mesh {
+        let colour = |x: [f64; 3]| {
+            let near = self.inside.as_ref().map(|t| t.nearest(&vec3::cast(x), NEIGHBOURS)).unwrap_or_default();
+            let (mut sum, mut weight) = ([0.0; 3], 0.0);
+            for (i, d2) in near {
+                let w = 1.0 / (d2 + 1e-9);
+                sum = vec3::add_scaled(sum, self.mesh.colours[i as usize], w);
+                weight += w;
+            }
+            sum.map(|c| if weight > 0.0 { c / weight } else { 0.5 })
+        };
+        deformed(&self.mesh, stage, d, colour)
+    }
+}
+
+/// The camera of pictures for people.
+pub fn portrait(mesh: &Mesh) -> Camera {
+    let (centre, radius) = box_sphere(mesh);
+    let eye = vec3::add_scaled(centre, PORTRAIT_FROM, PORTRAIT_DISTANCE * radius);
+    Camera::look_at(eye, centre, [0.0, 0.0, 1.0], PORTRAIT_FIELD, PORTRAIT, PORTRAIT)
 }
 
 /// Median size of a pixel at a place.

@@ -9,6 +9,7 @@ mod nets;
 mod patches;
 mod volume;
 
+pub use centre_distance::ParticleField;
 pub use measure::{Surface, Topology};
 
 use crate::imls::{FieldValue, Imls};
@@ -28,6 +29,8 @@ pub struct MeshSettings {
     /// Distance of the surface from the outermost particles in units of Δ. 0.55 keeps the volume of lattices within 1 %; the
     /// design's 0.62 makes a ball of radius 12Δ 3.4 % too large.
     pub offset: f32,
+    /// The field of the particles.
+    pub field: ParticleField,
     /// Rounds of Taubin smoothing.
     pub smoothing: u32,
     /// Parts with a smaller share of the area and fewer than 100 triangles are removed.
@@ -39,7 +42,7 @@ impl MeshSettings {
     /// where that is more.
     pub fn new(spacing: f64, size: f64) -> Self {
         let voxel = (0.5 * spacing).max(size / 512.0).min(2.0 * spacing);
-        Self { spacing, voxel, offset: 0.55, smoothing: 5, speck_area: 0.01 }
+        Self { spacing, voxel, offset: 0.55, field: ParticleField::AveragedCentre, smoothing: 5, speck_area: 0.01 }
     }
 }
 
@@ -103,7 +106,7 @@ pub fn body_mesh(points: &[[f32; 3]], skin: Option<&Imls>, settings: &MeshSettin
     let local: Vec<[f32; 3]> = finite.par_iter().map(|p| frame.to_voxels(*p)).filter(|p| p.iter().all(|v| *v < LARGEST)).collect();
     let spacing = (settings.spacing / voxel) as f32;
     let cells = Cells::new(&local, 2.0 * spacing);
-    let field = CentreDistance::new(spacing, settings.offset);
+    let field = CentreDistance::new(spacing, settings.offset, settings.field);
     let skin = skin.map(|imls| Skin { imls, reach: SKIN_REACH * (settings.spacing as f32).max(2.0 * imls.spacing()) });
     let volume = Volume::new(&cells, |node, wanted, out| {
         field.at_nodes(&cells, node, wanted, out);

@@ -80,7 +80,7 @@ fn any_cloud_gives_a_closed_manifold() {
         let t = Topology::of(&mesh);
         assert!(t.watertight() && !mesh.triangles.is_empty(), "{seed} {t:?}");
         let cells = cells::Cells::new(&points, 2.0);
-        let field = CentreDistance::new(1.0, 0.55);
+        let field = CentreDistance::new(1.0, 0.55, ParticleField::AveragedCentre);
         let volume = Volume::new(&cells, |n, w, o| field.at_nodes(&cells, n, w, o));
         for b in &volume.blocks {
             for k in 0..512i32 {
