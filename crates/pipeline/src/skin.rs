@@ -222,6 +222,8 @@ impl Dresser {
         t.push("normal", &s.normal);
         t.push("cover", &s.cover);
         t.push("rim", &s.rim);
+        t.push("kernel_cover", &s.kernel_cover);
+        t.push("kernel_rim", &s.kernel_rim);
         t.push("sigma0", &skin.sigma0);
         t.push("turned", &skin.turned);
         t.write(&state_path(folder, self.next))?;
@@ -260,6 +262,8 @@ impl Dresser {
             normal: t.take("normal").ok()?,
             cover: t.take("cover").ok()?,
             rim: t.take("rim").ok()?,
+            kernel_cover: t.take("kernel_cover").ok()?,
+            kernel_rim: t.take("kernel_rim").ok()?,
         };
         let skin = SkinState { sigma0: t.take("sigma0").ok()?, turned: t.take("turned").ok()? };
         let [most, toggles, worst] = totals[..] else { return None };

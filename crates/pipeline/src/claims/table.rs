@@ -181,27 +181,24 @@ impl Results {
     fn films(&self, out: &mut String) {
         let columns: [(&str, &str, fn(f64) -> String); 6] = [
             ("second difference", "second_difference", thousandths),
-            ("beyond the truth's", "beyond_truth", thousandths),
-            ("of normals, beyond the truth's", "normals_beyond_truth", thousandths),
+            ("of what differs from the truth", "beyond_truth", thousandths),
+            ("the same of normals", "normals_beyond_truth", thousandths),
             ("Chamfer of a step / L", "chamfer", hundredths_of_percent),
             ("p95 / L", "p95", hundredths_of_percent),
             ("normals, °", "normal_deg", two),
         ];
+        let rows: Vec<(&str, &str)> = Look::ALL.iter().map(|l| l.names()).chain([(coherence::TRUTH, "the truth")]).collect();
         for d in coherence::FILMS {
-            let at = |look: Look, key: &str| self.mean(Contender::B6, &format!("/coherence/{}/{}/{key}", d.id(), look.names().0));
-            if at(Look::Splats, columns[0].1).is_none() {
+            let at = |row: &str, key: &str| self.mean(Contender::B6, &format!("/coherence/{}/{row}/{key}", d.id()));
+            if at(rows[0].0, columns[0].1).is_none() {
                 continue;
             }
             let names = columns.map(|c| c.0).join(" | ");
-            let _ = writeln!(
-                out,
-                "## Unrest of a film of {} (M11), pictures in thousandths\n\n| drawn | {names} |\n| --- |{}",
-                d.id(),
-                " ---: |".repeat(6)
-            );
-            for look in Look::ALL {
-                let cells = columns.map(|(_, key, show)| at(look, key).map_or(NOTHING.to_owned(), show));
-                let _ = writeln!(out, "| {} | {} |", look.names().1, cells.join(" | "));
+            let title = format!("Unrest of a film of {} (M11), pictures in thousandths", d.id());
+            let _ = writeln!(out, "## {title}\n\n| drawn | {names} |\n| --- |{}", " ---: |".repeat(columns.len()));
+            for (row, words) in &rows {
+                let cells = columns.map(|(_, key, show)| at(row, key).map_or(NOTHING.to_owned(), show));
+                let _ = writeln!(out, "| {words} | {} |", cells.join(" | "));
             }
             out.push('\n');
         }

@@ -19,10 +19,19 @@ use rayon::prelude::*;
 use super::rim;
 use crate::rows::Rows;
 
-/// κ: standard deviation per distance. Fresh models have a half and more.
-const KAPPA: f32 = 0.45;
-/// θ: growth begins where neighbours stand √θ/κ = 2.6 standard deviations apart.
-const ONSET: f32 = 1.4;
+/// How Gaussians grow.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Growth {
+    /// κ: standard deviation per distance.
+    pub kappa: f32,
+    /// θ: growth begins where neighbours stand √θ/κ standard deviations apart.
+    pub onset: f32,
+}
+
+/// Gaussians of the surface: from 2.6 standard deviations on. Fresh models have neighbours two and less apart.
+pub(crate) const SURFACE: Growth = Growth { kappa: 0.45, onset: 1.4 };
+/// Kernels: behind them is nothing that could be spoiled.
+pub(crate) const KERNELS: Growth = Growth { kappa: 0.6, onset: 1.4 };
 /// Largest standard deviation that growth gives, in particle spacings Δ.
 const MOST: f32 = 1.0;
 /// Farthest neighbour, in largest standard deviations.
@@ -50,6 +59,7 @@ pub(crate) fn measure(
     delta: f32,
     state: &mut Vec<[f32; 6]>,
     rim: &mut Vec<Vec3<f32>>,
+    kappa: f32,
     smooth: bool,
 ) {
     let n = surface.len();
@@ -63,7 +73,8 @@ pub(crate) fn measure(
     let reach = REACH * MOST * delta;
     let rows = Rows::new(&surface.mean, 0.5 * reach);
     state.par_iter_mut().zip(rim.par_iter_mut()).with_min_len(256).enumerate().filter(|(i, _)| asked[*i]).for_each(|(i, (kept, rim))| {
-        let (fresh, edge) = tensor(&rows, surface.mean[i], normals[i], reach, |j| present(j) && object[j] == object[i] && j != i, normals);
+        let mine = |j: usize| present(j) && object[j] == object[i] && j != i;
+        let (fresh, edge) = tensor(&rows, surface.mean[i], normals[i], reach, kappa, mine, normals);
         let first = !smooth || kept[0] + kept[3] + kept[5] == 0.0;
         let share = if first { 1.0 } else { NEW };
         for (k, f) in kept.iter_mut().zip(fresh) {
@@ -81,6 +92,7 @@ fn tensor(
     x: Vec3<f32>,
     normal: Vec3<f32>,
     reach: f32,
+    kappa: f32,
     mine: impl Fn(usize) -> bool,
     normals: &[Vec3<f32>],
 ) -> ([f32; 6], [f32; 3]) {
@@ -128,7 +140,7 @@ fn tensor(
         c[1] += d2 * o * s;
         c[2] += d2 * s * s;
     }
-    let f = KAPPA * KAPPA * 2.0 / SECTORS as f32;
+    let f = kappa * kappa * 2.0 / SECTORS as f32;
     let most = (reach / REACH) * (reach / REACH);
     let [a, b, d] = limit(c.map(|v| f * v), |v| v.clamp(0.0, most));
     let distance = (found.iter().sum::<f32>() / found.len() as f32).sqrt();
@@ -167,7 +179,7 @@ fn spread(t1: Vec3<f32>, t2: Vec3<f32>, a: f32, b: f32, d: f32) -> [f32; 6] {
 }
 
 /// Lets the Gaussians grow to their tensors. Returns how many did.
-pub(crate) fn grow(surface: &mut Gaussians, normals: &[Vec3<f32>], state: &[[f32; 6]]) -> usize {
+pub(crate) fn grow(surface: &mut Gaussians, normals: &[Vec3<f32>], state: &[[f32; 6]], onset: f32) -> usize {
     let grown: Vec<usize> = surface
         .covariance
         .par_iter_mut()
@@ -178,7 +190,7 @@ pub(crate) fn grow(surface: &mut Gaussians, normals: &[Vec3<f32>], state: &[[f32
             let (t1, t2) = vec3::frame_from_normal(normals[i]);
             let (s, c) = (unpack_covariance(*covariance), unpack_covariance(state[i]));
             let gap = |u: Vec3<f32>, v: Vec3<f32>| {
-                (0..3).map(|r| (0..3).map(|k| u[r] * (c[r][k] - ONSET * s[r][k]) * v[k]).sum::<f32>()).sum::<f32>()
+                (0..3).map(|r| (0..3).map(|k| u[r] * (c[r][k] - onset * s[r][k]) * v[k]).sum::<f32>()).sum::<f32>()
             };
             let [a, b, d] = limit([gap(t1, t1), gap(t1, t2), gap(t2, t2)], |v| v.max(0.0));
             if a + d <= 0.0 {
@@ -213,8 +225,8 @@ mod tests {
     fn grown(dx: f32, dy: f32, object: &[u16]) -> (Gaussians, Gaussians) {
         let (before, normals) = sheet(dx, dy);
         let (mut g, mut state, mut rim) = (before.clone(), Vec::new(), Vec::new());
-        measure(&g, &normals, object, |_| true, 0.3, &mut state, &mut rim, true);
-        grow(&mut g, &normals, &state);
+        measure(&g, &normals, object, |_| true, 0.3, &mut state, &mut rim, SURFACE.kappa, true);
+        grow(&mut g, &normals, &state, SURFACE.onset);
         (before, g)
     }
 

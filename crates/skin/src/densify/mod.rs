@@ -94,6 +94,10 @@ pub struct DensifyState {
     pub cover: Vec<[f32; 6]>,
     /// Where it ends: out over the edge, as long as that is certain.
     pub rim: Vec<[f32; 3]>,
+    /// The same of the particles that are drawn.
+    pub kernel_cover: Vec<[f32; 6]>,
+    /// The same of the particles that are drawn.
+    pub kernel_rim: Vec<[f32; 3]>,
 }
 
 /// Figures of one frame.
@@ -181,6 +185,8 @@ impl Densifier {
             && state.fade.len() == n
             && state.colour.len() == n
             && state.normal.len() == n
+            && state.kernel_cover.len() == n
+            && state.kernel_rim.len() == n
             && (state.cover.is_empty() || state.cover.len() == self.anatomy.surface_object.len())
             && state.rim.len() == state.cover.len()
             && state.scores.len() == self.settings.turns.max(1)
@@ -208,8 +214,8 @@ impl Densifier {
         let wanted = |i: usize| if grown(i) { (i + turn).is_multiple_of(2) } else { phase.get(i).is_some_and(|p| *p != 0) };
         let wanted: Vec<bool> = (0..surface.len()).map(wanted).collect();
         let (object, delta) = (&self.anatomy.surface_object, self.anatomy.spacing);
-        cover::measure(surface, &self.normals, object, |i| wanted[i], delta, state, rim, self.settings.hysteresis);
-        let grown = cover::grow(surface, &self.normals, state);
+        cover::measure(surface, &self.normals, object, |i| wanted[i], delta, state, rim, cover::SURFACE.kappa, self.settings.hysteresis);
+        let grown = cover::grow(surface, &self.normals, state, cover::SURFACE.onset);
         rim::trim(surface, rim);
         grown
     }
@@ -237,6 +243,8 @@ impl Densifier {
             self.state.fade = vec![Fade::hidden(); n];
             self.state.colour = self.anatomy.inside_rgb.clone();
             self.state.normal = vec![[0.0; 3]; n];
+            self.state.kernel_cover = vec![[0.0; 6]; n];
+            self.state.kernel_rim = vec![[0.0; 3]; n];
             self.state.scores = vec![vec![0.0; n + surfaces]; self.settings.turns.max(1)];
             self.state.sample_spacing = vec![0.0; self.objects.len()];
         }
@@ -440,12 +448,49 @@ impl Densifier {
             let covariance = kernels::covariance(&s, self.state.radius[k], n, vec3::norm(f.up));
             self.drawn.push((j, kernels::place(&s, frame.inside[k], f.up, delta), covariance));
         }
+        if s.cover && s.kernel == Kernel::Disc {
+            self.close(frame);
+        }
         // A particle that is not drawn starts afresh once it has been forgotten.
         for k in 0..self.state.fade.len() {
             let f = self.state.fade[k];
             if !f.is_drawn() && !f.remembers() {
                 self.state.normal[k] = [0.0; 3];
+                self.state.kernel_cover[k] = [0.0; 6];
+                self.state.kernel_rim[k] = [0.0; 3];
             }
+        }
+    }
+
+    /// The kernels grow until they meet what is drawn beside them, and are trimmed where the body ends. Radii follow the spacing of all
+    /// particles, and of those only the few that can be seen are drawn.
+    fn close(&mut self, frame: &Deformed<'_>) {
+        let (mut set, mut object) = (Gaussians::new(0), Vec::new());
+        let mut push = |mean, covariance, normal, o| {
+            set.push(mean, covariance, normal, 1.0, &[0.0; 3], 0.0);
+            object.push(o);
+        };
+        for (j, mean, covariance) in &self.drawn {
+            push(*mean, *covariance, self.state.normal[*j as usize], self.anatomy.inside_object[*j as usize]);
+        }
+        for i in 0..frame.surface.len() {
+            if frame.surface.visible.get(i) != Some(&false) && self.is_visible(i) {
+                push(frame.surface.mean[i], frame.surface.covariance[i], self.normals[i], self.anatomy.surface_object[i]);
+            }
+        }
+        let who = || self.drawn.iter().map(|d| d.0 as usize);
+        let mut cover: Vec<[f32; 6]> = who().map(|k| self.state.kernel_cover[k]).collect();
+        let mut rim: Vec<[f32; 3]> = who().map(|k| self.state.kernel_rim[k]).collect();
+        let (kernels, normals) = (self.drawn.len(), set.normal.clone());
+        let (growth, smooth) = (cover::KERNELS, self.settings.hysteresis);
+        cover::measure(&set, &normals, &object, |k| k < kernels, self.anatomy.spacing, &mut cover, &mut rim, growth.kappa, smooth);
+        for (n, k) in who().enumerate() {
+            (self.state.kernel_cover[k], self.state.kernel_rim[k]) = (cover[n], rim[n]);
+        }
+        cover::grow(&mut set, &normals, &cover, growth.onset);
+        rim::trim(&mut set, &rim);
+        for (n, (_, mean, covariance)) in self.drawn.iter_mut().enumerate() {
+            (*mean, *covariance) = (set.mean[n], set.covariance[n]);
         }
     }
 

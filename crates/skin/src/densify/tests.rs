@@ -113,6 +113,41 @@ fn v_t1_a_static_body_stops_toggling_and_a_closed_one_shows_little_of_its_inside
 }
 
 #[test]
+fn kernels_grow_until_they_meet_over_a_gap() {
+    // Strands of a torn skin along y, and particles right below them: each has near neighbours, and so a small radius, and the gap to the
+    // next strand stays open.
+    let (delta, gap) = (0.1f32, 0.16f32);
+    let mut surface = Gaussians::new(0);
+    let mut inside = Vec::new();
+    for i in -5..=5 {
+        let x = i as f32 * gap;
+        (-20..=20).for_each(|k| {
+            surface.push([x, 0.04 * k as f32, 0.0], [4e-4, 0.0, 0.0, 4e-4, 0.0, 4e-6], [0.0, 0.0, 1.0], 0.95, &[0.0; 3], 300.0)
+        });
+        inside.extend((-8..=8).map(|k| [x, delta * k as f32, -0.3 * delta]));
+    }
+    let anatomy = Anatomy {
+        surface_object: vec![1; surface.len()],
+        inside_object: vec![1; inside.len()],
+        inside_rgb: vec![[0.5; 3]; inside.len()],
+        spacing: delta,
+    };
+    let frame = Deformed { surface: &surface, phase: &[], inside: &inside, temperature: &[], gone: &[] };
+    let light = |cover: bool| {
+        let mut d = Densifier::new(anatomy.clone(), DensifySettings { resolution: [96, 160], cover, ..DensifySettings::default() });
+        d.advance(&frame, &[], 0.0);
+        let mut all = surface.clone();
+        d.append(&frame, &mut all);
+        let camera = Camera::orthographic([0.0; 3], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0], 0.45, 2.0, 96, 96);
+        let mut out = Frame::default();
+        Rasterizer::new().render(&all, &camera, &Settings::default(), Channels::Rgba, &mut out);
+        out.transmittance.iter().map(|t| f64::from(*t)).sum::<f64>() / out.transmittance.len() as f64
+    };
+    let (apart, met) = (light(false), light(true));
+    assert!(apart > 0.3 && met < 0.1, "{apart} {met}");
+}
+
+#[test]
 fn v_t1_a_molten_film_at_rest_stops_toggling_too_and_grows_together() {
     let b = ball(2500, 0.14).slump();
     let molten = vec![1u8; b.surface.len()];
