@@ -182,7 +182,7 @@ impl Dresser {
             // Neighbours take turns: half the work, and nobody sees it.
             let turn = self.next as usize;
             let normal_at = |i: usize| {
-                if (i + turn).is_multiple_of(2) { densifier.surface_normal_of_field(i, out.mean[i]) } else { [0.0; 3] }
+                if (i + turn).is_multiple_of(2) { densifier.surface_normal_of_field(i, out) } else { [0.0; 3] }
             };
             self.skin.realign(points, out, 2.0 * self.dt, &normal_at);
         }
@@ -213,6 +213,7 @@ impl Dresser {
         t.push("rig", &s.rig);
         t.push("spacing", &s.sample_spacing);
         t.push("radius", &s.radius);
+        t.push("seen_radius", &s.seen_radius);
         for (k, scores) in s.scores.iter().enumerate() {
             t.push(&format!("scores{k}"), scores);
         }
@@ -220,6 +221,7 @@ impl Dresser {
         t.push("count", &counts);
         t.push("colour", &s.colour);
         t.push("normal", &s.normal);
+        t.push("up", &s.up);
         t.push("cover", &s.cover);
         t.push("rim", &s.rim);
         t.push("kernel_cover", &s.kernel_cover);
@@ -256,10 +258,12 @@ impl Dresser {
             rig: t.take("rig").ok()?.try_into().ok()?,
             sample_spacing: t.take("spacing").ok()?,
             radius: t.take("radius").ok()?,
+            seen_radius: t.take("seen_radius").ok()?,
             scores: (0..turns).map(|k| t.take(&format!("scores{k}")).ok()).collect::<Option<_>>()?,
             fade: fades.iter().zip(&counts).map(fade).collect(),
             colour: t.take("colour").ok()?,
             normal: t.take("normal").ok()?,
+            up: t.take("up").ok()?,
             cover: t.take("cover").ok()?,
             rim: t.take("rim").ok()?,
             kernel_cover: t.take("kernel_cover").ok()?,

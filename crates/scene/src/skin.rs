@@ -90,8 +90,8 @@ pub struct Skin {
     /// Turn molten splats towards the surface that they lie in (default: yes; no with preset "paper").
     #[serde(skip_serializing_if = "Option::is_none")]
     pub realign: Option<bool>,
-    /// Let molten splats grow where the flow draws them apart, so that a thin film stays closed, and trim them where it has torn, so that
-    /// they do not stick out (default: yes; no with preset "paper"). Needs `densify`.
+    /// Let molten splats and the kernels in cracks grow where the flow draws them apart, so that a thin film stays closed, and trim them
+    /// where it has torn, so that they do not stick out (default: yes; no with preset "paper"). Needs `densify`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grow: Option<bool>,
     /// Let splats get narrower where the flow presses the surface together, down to half (default: yes; no with preset "paper"). Matters

@@ -13,9 +13,9 @@ mod normals;
 mod rim;
 mod settings;
 
-use megas_math::{Vec3, sh, vec3};
+use megas_math::{Vec3, mat3, sh, vec3};
 use megas_model::Camera;
-use megas_raster::Gaussians;
+use megas_raster::{Gaussians, unpack_covariance};
 use rayon::prelude::*;
 
 use crate::imls::{Imls, ImlsSettings, Samples, gap_samples};
@@ -30,16 +30,18 @@ pub use settings::{DensifySettings, Kernel, Normals, Radius, Rule};
 const OPACITY: f32 = 0.99;
 /// Radii \[Δ\].
 const RADIUS: [f32; 2] = [0.25, 1.0];
-/// Shares of the new value in the running means of radius, colour, normal (§7.6) and spacing.
-const NEW_RADIUS: f32 = 0.2;
-const NEW_COLOUR: f32 = 0.1;
-const NEW_NORMAL: f32 = 0.3;
+/// Shares of the new value in the running means of radius, colour and normal (§7.6), which get one every second frame, and of spacing.
+const NEW_RADIUS: f32 = 0.36;
+const NEW_COLOUR: f32 = 0.19;
+const NEW_NORMAL: f32 = 0.51;
 const NEW_SPACING: f32 = 0.2;
 /// Blend weight from which a surface Gaussian counts as visible.
 const VISIBLE: f32 = 0.05;
 /// A particle is drawn in detection no larger than its distance from the skin divided by this: behind a closed skin it must not
 /// show over the outline.
 const SKIN_IN_SIGMA: f32 = 2.0;
+/// sin² of the angle (10°) between a Gaussian's axis and its normal up to which it lies in the surface.
+const SIN2_LIES_WELL: f64 = 0.03;
 /// Thickness of the layer that is looked at, in cells of 1.5 Δ.
 const LAYER: usize = 2;
 
@@ -82,6 +84,8 @@ pub struct DensifyState {
     pub sample_spacing: Vec<f32>,
     /// Radii of the particles.
     pub radius: Vec<f32>,
+    /// Radii with which detection draws them.
+    pub seen_radius: Vec<f32>,
     /// Scores by turn: surface Gaussians, then particles.
     pub scores: Vec<Vec<f32>>,
     /// Fades of the particles.
@@ -90,6 +94,8 @@ pub struct DensifyState {
     pub colour: Vec<[f32; 3]>,
     /// Smoothed normals of the particles, zero before the first.
     pub normal: Vec<Vec3<f32>>,
+    /// Way from the particles to the surface.
+    pub up: Vec<Vec3<f32>>,
     /// What the Gaussians of the surface grow to (see [`Densifier::cover`]); empty before the first that melts.
     pub cover: Vec<[f32; 6]>,
     /// Where it ends: out over the edge, as long as that is certain.
@@ -182,6 +188,8 @@ impl Densifier {
     pub fn restore(&mut self, state: DensifyState) -> bool {
         let (n, all) = (self.anatomy.inside_rgb.len(), self.anatomy.inside_rgb.len() + self.anatomy.surface_object.len());
         let fits = state.radius.len() == n
+            && state.seen_radius.len() == n
+            && state.up.len() == n
             && state.fade.len() == n
             && state.colour.len() == n
             && state.normal.len() == n
@@ -240,9 +248,11 @@ impl Densifier {
         let first = self.state.frames == 0;
         if first {
             self.state.radius = vec![0.0; n];
+            self.state.seen_radius = vec![0.0; n];
             self.state.fade = vec![Fade::hidden(); n];
             self.state.colour = self.anatomy.inside_rgb.clone();
             self.state.normal = vec![[0.0; 3]; n];
+            self.state.up = vec![[0.0; 3]; n];
             self.state.kernel_cover = vec![[0.0; 6]; n];
             self.state.kernel_rim = vec![[0.0; 3]; n];
             self.state.scores = vec![vec![0.0; n + surfaces]; self.settings.turns.max(1)];
@@ -267,13 +277,20 @@ impl Densifier {
         report
     }
 
+    /// Whether particle `j`, about which something is known, is asked again in this frame: neighbours take turns.
+    fn is_turn_of(&self, j: usize) -> bool {
+        !self.settings.hysteresis || (j as u64 + self.state.frames).is_multiple_of(2)
+    }
+
     /// Radii (§7.2) of the particles in `layer`, smoothed in time, and the smaller ones that detection draws.
     fn radii(&mut self, frame: &Deformed<'_>, skin: &[Vec3<f32>], places: &[Vec3<f32>], layer: &[u32], first: bool) -> Vec<f32> {
+        let asked: Vec<u32> =
+            layer.iter().copied().filter(|&j| self.state.radius[j as usize] == 0.0 || self.is_turn_of(j as usize)).collect();
         let (s, delta) = (self.settings, self.anatomy.spacing);
         let near_skin = Rows::new(skin, 0.5 * delta);
         let near_inside = Rows::new(places, 0.8 * delta);
         let literal = s.radius == Radius::Nearest;
-        let fresh: Vec<[f32; 2]> = layer
+        let fresh: Vec<[f32; 2]> = asked
             .par_iter()
             .with_min_len(64)
             .map_init(
@@ -294,12 +311,13 @@ impl Densifier {
                 },
             )
             .collect();
-        for (&j, f) in layer.iter().zip(&fresh) {
+        for (&j, f) in asked.iter().zip(&fresh) {
             let r = &mut self.state.radius[j as usize];
             let share = if first || *r == 0.0 || !s.hysteresis { 1.0 } else { NEW_RADIUS };
             *r += share * (f[0] - *r);
+            self.state.seen_radius[j as usize] = f[1];
         }
-        fresh.into_iter().map(|f| f[1]).collect()
+        layer.iter().map(|&j| self.state.seen_radius[j as usize]).collect()
     }
 
     /// Renders this turn's cameras and the viewers', and keeps the scores.
@@ -421,19 +439,18 @@ impl Densifier {
         let drawn: Vec<u32> = (0..self.state.fade.len() as u32)
             .filter(|&j| self.state.fade[j as usize].is_drawn() && frame.gone.get(j as usize) != Some(&true))
             .collect();
-        let made: Vec<kernels::Fresh> = drawn
+        // The first appearance takes what it finds; later frames move towards it.
+        let new = |d: &Self, k: usize| first || d.state.normal[k] == [0.0; 3] || !s.hysteresis || !d.state.fade[k].remembers();
+        let asked: Vec<usize> = drawn.iter().map(|&j| j as usize).filter(|&k| new(self, k) || self.is_turn_of(k)).collect();
+        let made: Vec<kernels::Fresh> = asked
             .par_iter()
             .with_min_len(64)
             .map_init(Vec::new, |found, &j| {
-                let j = j as usize;
                 fresh(self.object(self.anatomy.inside_object[j]), frame.inside[j], self.anatomy.inside_rgb[j], delta, found)
             })
             .collect();
-        self.drawn.clear();
-        for (&j, f) in drawn.iter().zip(&made) {
-            let k = j as usize;
-            // The first appearance takes what it finds; later frames move towards it.
-            let new = first || self.state.normal[k] == [0.0; 3] || !s.hysteresis || !self.state.fade[k].remembers();
+        for (&k, f) in asked.iter().zip(&made) {
+            let new = new(self, k);
             let colour = &mut self.state.colour[k];
             *colour = if new { f.rgb } else { vec3::lerp(*colour, f.rgb, NEW_COLOUR) };
             if f.normal != [0.0; 3] {
@@ -444,9 +461,14 @@ impl Densifier {
                     vec3::normalize_or(vec3::lerp(*n, f.normal, NEW_NORMAL), f.normal)
                 };
             }
-            let n = self.state.normal[k];
-            let covariance = kernels::covariance(&s, self.state.radius[k], n, vec3::norm(f.up));
-            self.drawn.push((j, kernels::place(&s, frame.inside[k], f.up, delta), covariance));
+            self.state.up[k] = f.up;
+        }
+        self.drawn.clear();
+        for &j in &drawn {
+            let k = j as usize;
+            let up = self.state.up[k];
+            let covariance = kernels::covariance(&s, self.state.radius[k], self.state.normal[k], vec3::norm(up));
+            self.drawn.push((j, kernels::place(&s, frame.inside[k], up, delta), covariance));
         }
         if s.cover && s.kernel == Kernel::Disc {
             self.close(frame);
@@ -521,11 +543,15 @@ impl Densifier {
         self.score(i) >= VISIBLE
     }
 
-    /// Normal of the implicit surface at surface Gaussian `i`, which stands at `x`; zero where it is not part of that surface:
-    /// buried, or more than a spacing away from it.
-    pub fn surface_normal_of_field(&self, i: usize, x: Vec3<f32>) -> Vec3<f32> {
+    /// Normal of the implicit surface at Gaussian `i` of the `surface` that the last frame had. Zero where it is not part of that surface
+    /// (buried, or more than a spacing away from it), and where the Gaussian lies in it well enough by its own normal, which is most often
+    /// so and costs a hundredth.
+    pub fn surface_normal_of_field(&self, i: usize, surface: &Gaussians) -> Vec3<f32> {
         let Some(f) = self.field(self.anatomy.surface_object[i]).filter(|_| self.is_visible(i)) else { return [0.0; 3] };
-        let v = f.evaluate(x);
+        if is_axis_within(mat3::cast(unpack_covariance(surface.covariance[i])), self.normals[i], SIN2_LIES_WELL) {
+            return [0.0; 3];
+        }
+        let v = f.evaluate(surface.mean[i]);
         if v.value.abs() < f.spacing() { v.normal() } else { [0.0; 3] }
     }
 

@@ -69,7 +69,7 @@ pub struct DensifySettings {
     pub normals: Normals,
     /// Fades, delays and smoothing in time (§7.6); off shows and hides at once.
     pub hysteresis: bool,
-    /// Molten surface Gaussians grow where the flow draws them apart, and are trimmed at rims.
+    /// Molten surface Gaussians and kernels grow where the flow draws them apart, and are trimmed at rims.
     pub cover: bool,
     /// Molten surface Gaussians turn towards the surface (§7.5).
     pub realign: bool,
