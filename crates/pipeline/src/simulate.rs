@@ -51,10 +51,10 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     // The slot of the ring to write next: never the one that holds the newest checkpoint.
     let mut slot = resumed.map_or(0, |used| 1 - used);
     sink.event(Event::Stage { name: "simulate", steps: total - 1 });
+    let objects = crate::body::scene_objects(&loaded.scene);
     if resumed.is_some() {
         sink.event(Event::Note(&format!("continuing at frame {} of {total}", solver.frames_done())));
     } else {
-        let objects = crate::body::scene_objects(&loaded.scene);
         let velocity = |o: &megas_scene::Object| o.initial_velocity_m_s;
         if objects.iter().all(|o| velocity(o).is_none())
             && let Some((object, sunk)) = solver.settle(loaded.scene.simulation.settle_s).map_err(fail)?
@@ -74,6 +74,11 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
             }
         }
         write_frame(&stage.path, 0, &solver.export(), None)?;
+    }
+    for (k, o) in objects.iter().enumerate() {
+        if let Some(resistance) = o.contact_resistance_m2k_w {
+            solver.set_contact_resistance(k as u16 + 1, resistance);
+        }
     }
     sink.event(Event::Step { done: solver.frames_done() });
     let start = Instant::now();

@@ -215,6 +215,12 @@ impl Solver {
         }
     }
 
+    /// Gives `object` a resistance to heat of its side of every contact with another object \[m²K/W\], ≥ 0; that of a contact is the
+    /// sum of both sides (simulation.md §6.3). Meant for the start; checkpoints do not hold it.
+    pub fn set_contact_resistance(&mut self, object: u16, resistance: f64) {
+        self.thermal.set_contact_resistance(object, resistance);
+    }
+
     /// Lets solids find their rest under gravity before time starts: mechanics alone, strongly damped, for `seconds`. Without it
     /// a film begins with the jolt of a body that feels its own weight at once. Time, heat and totals do not move. Returns the
     /// object whose centre sank the most and by how much \[m\]: what sinks by more than a cell or two has fallen, not settled.

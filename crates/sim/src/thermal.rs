@@ -3,6 +3,7 @@
 //! One call of [`ThermalSolver::step`] per coupling step. Nothing is carried from step to step except what is in the points,
 //! so a checkpoint of the points is a checkpoint of the heat.
 
+pub(crate) mod contact;
 pub(crate) mod enthalpy;
 mod estimate;
 pub(crate) mod network;

@@ -214,12 +214,10 @@ impl Room {
         let mut states = std::mem::take(&mut self.states);
         states.clear();
         let solid_wall = |i: usize| walls.map_or(Wall::Open, |w| w[i]);
-        let mut slot = 0;
         let total: usize = self.lattice.settings().nodes.iter().product();
         let [_, ny, nz] = self.lattice.settings().nodes;
         for i in 0..total {
-            let mine = (slot < network.len() && network.dense[slot] as usize == i).then_some(slot);
-            slot += usize::from(mine.is_some());
+            let mine = network.slot_of_index(i);
             let wall = solid_wall(i);
             let node = [i / nz / ny, i / nz % ny, i % nz];
             let state = match (wall, mine) {
@@ -302,7 +300,7 @@ impl Room {
         let mut share = 0.0;
         for s in 0..network.len() {
             let t = (network.t[s] - self.ambient) as f32;
-            if !network.is_thin(s) {
+            if !network.is_thin(s) && network.leads(s) {
                 self.lattice.set_temperature(network.node(s), t);
                 share += network.air_capacity(s) * f64::from(t);
             }
