@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use megas_model::{FLAG_SPLAT, PointFrame};
-use megas_scene::Severity;
+use megas_scene::{Bounds, Severity};
 use megas_sim::solver::{Checkpoint, FrameReport, SimError, Solver, Totals, repaired};
 use serde_json::{Value, json};
 
@@ -93,7 +93,10 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
         };
         warn_about(&report, bodies.points.len(), sink);
         let frame = solver.export();
-        if !told && let Some(text) = confined(&frame, &grid) {
+        if !told
+            && loaded.scene.simulation.bounds == Bounds::Clamp
+            && let Some(text) = confined(&frame, &grid)
+        {
             told = true;
             sink.event(Event::Warning(&text));
         }
@@ -107,6 +110,16 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     let totals = solver.totals().clone();
     if totals.energy_residual() > AUDIT_LIMIT {
         sink.event(Event::Warning(&format!("the energy audit does not close: relative residual {:.1e}", totals.energy_residual())));
+    }
+    let lost = totals.escaped;
+    if lost.points > 0 {
+        sink.event(Event::Note(&format!(
+            "{} of {} points left the simulated space, with {:.3e} kg and {:.3e} J",
+            lost.points,
+            bodies.points.len(),
+            lost.mass,
+            lost.heat
+        )));
     }
     let figures = figures(&totals, total, bodies, acceleration);
     stage.finish(&figures)?;
@@ -140,6 +153,7 @@ fn figures(totals: &Totals, frames: u64, bodies: &Bodies, acceleration: f64) -> 
         "rollbacks": totals.rollbacks,
         "temperatures_put_right": totals.temperatures,
         "points_out_of_density_range": totals.strayed,
+        "escaped": totals.escaped,
         "energy_removed_j": totals.capped_energy,
         "max_speed_m_s": totals.max_speed,
         "thermal_acceleration": acceleration,

@@ -81,6 +81,7 @@ acceleration = 50
 [simulation]
 cells = 32
 box_m = [1, 1, 0.5]
+bounds = "delete"
 phase_mode = "binary"
 
 [fill]

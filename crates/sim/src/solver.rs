@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::collider::{Collider, Thermal};
 use crate::grid::Grid;
 use crate::material::Material;
-use crate::mechanics::{Mechanics, Report, Settings};
+use crate::mechanics::{Bounds, Mechanics, Report, Settings};
 use crate::particles::{ParticleError, Particles};
 use crate::phase::{PhaseOptions, PhaseRule, scale_deviator, swell};
 use crate::source::{HeatSource, SourceKind};
@@ -60,6 +60,8 @@ pub struct SolverConfig {
     pub courant: f64,
     /// False leaves pure conduction in bodies at rest.
     pub mechanics: bool,
+    /// What happens to matter at the sides of the grid.
+    pub bounds: Bounds,
     /// How mechanics and heat are joined.
     pub coupling: Coupling,
 }
@@ -167,7 +169,12 @@ impl Solver {
             }
         }
         particles.sort();
-        let settings = Settings { gravity: config.gravity, plain_momentum: config.coupling.plain_momentum, ..Settings::default() };
+        let settings = Settings {
+            gravity: config.gravity,
+            plain_momentum: config.coupling.plain_momentum,
+            bounds: config.bounds,
+            ..Settings::default()
+        };
         let mechanics = Mechanics::new(&config.grid, settings, config.colliders.clone());
         let (solids, cells) = Solids::new(&config.grid, &config.colliders);
         thermal.set_solids(solids);
@@ -233,10 +240,13 @@ impl Solver {
         let before = self.heights();
         let steps = (seconds / self.config.coupling_step).ceil().max(1.0);
         self.mechanics.settings.drag = DRAG;
+        // Nothing is lost before time starts.
+        self.mechanics.settings.bounds = Bounds::Clamp;
         for _ in 0..steps as u64 {
             self.substeps(seconds / steps)?;
         }
         self.mechanics.settings.drag = 0.0;
+        self.mechanics.settings.bounds = self.config.bounds;
         for i in 0..self.particles.len() {
             self.particles.set_velocity(i, [0.0; 3]);
             self.particles.set_affine(i, [[0.0; 3]; 3]);
@@ -369,6 +379,7 @@ impl Solver {
 
     /// One exchange between mechanics and heat.
     fn exchange(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<Result<(), (u64, f64)>, SimError> {
+        let mut lost = 0.0;
         if self.config.mechanics {
             self.mechanics.time = time;
             let (found, attempt) = self.substeps(dt)?;
@@ -387,6 +398,8 @@ impl Solver {
             report.substeps += attempt.0;
             report.substep_min = report.substep_min.min(attempt.1);
             report.strayed = health.strayed;
+            report.escaped += found.escaped;
+            lost = found.escaped.heat;
             self.caution.relax();
         }
         self.particles.sort();
@@ -394,7 +407,7 @@ impl Solver {
         let part = dt / f64::from(parts);
         for k in 0..parts {
             let audit = self.heat(time + f64::from(k) * part, part)?;
-            report.audit(&audit);
+            report.audit(&audit.after_loss(std::mem::take(&mut lost)));
         }
         let clamped = self.keep_temperatures(report);
         self.cautious_heat.after(clamped);

@@ -66,6 +66,7 @@ fn config(air: SimulatedAir, plate: f64, mechanics: bool) -> SolverConfig {
         coupling_step: 0.002,
         courant: 0.4,
         mechanics,
+        bounds: Default::default(),
         coupling: Default::default(),
     }
 }

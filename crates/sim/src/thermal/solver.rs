@@ -662,6 +662,7 @@ impl ThermalSolver {
             solid,
             open: air.open,
             displaced: air.displaced,
+            escaped: 0.0,
             air: air.after,
             capped: air.capped,
             residual: after - before - (source + dirichlet + film + wall + solid + air.open + air.displaced) + stored + solid,
