@@ -335,9 +335,16 @@ impl Solver {
                     failed = step.max(failed);
                     self.caution.raise();
                     report.rollbacks += 1;
-                    // Shorter substeps did not help: the harm may have been done in the step before.
-                    // (Air is not kept from step to step; with it, only the step itself is repeated.)
-                    if failures == 2 && step > 0 && air.is_none() {
+                    // Shorter substeps did not help: the harm may have been done in the step before. Of simulated air only the start of
+                    // the frame is kept: a copy of it in every step would cost time and memory that hardly any run needs.
+                    let before_last = failures == 2 && step > 0;
+                    if self.thermal.simulates_air() && (before_last || self.config.coupling.heat_every_substep) {
+                        self.caution.last(step);
+                        step = 0;
+                        self.thermal.return_air(air.clone());
+                        self.cautious_heat = before.1;
+                        self.go_back(step, &mut report);
+                    } else if before_last {
                         step -= 1;
                         self.go_back(step, &mut report);
                     }
