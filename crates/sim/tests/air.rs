@@ -246,6 +246,38 @@ fn air_exchanges_heat_after_every_substep() {
     assert!(run(None) == run(Some(5)), "a restart differs");
 }
 
+/// The lower half of a cube is another, hotter body, with and without a resistance between them.
+#[test]
+fn bodies_with_a_contact_resistance_share_the_air() {
+    let mut points = cube(300.0, 5.0);
+    for i in 0..points.id.len() {
+        (points.object[i], points.temperature[i]) = if i % 12 < 6 { (1, 316.0) } else { (2, 300.0) };
+    }
+    let run = |threads: usize, resistance: f64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        pool.install(|| {
+            let air = SimulatedAir { wall_film: 10.0, emissivity: 0.9, ..SimulatedAir::default() };
+            let setup = SolverConfig { coupling_step: 0.01, frame_dt: 0.2, ..config(air, 350.0, false) };
+            let mut solver = Solver::new(setup, &points).expect("a solver");
+            solver.set_contact_resistance(2, resistance);
+            let upper = |solver: &Solver| {
+                let p = solver.particles();
+                (0..p.len()).filter(|i| p.object[*i] == 2).map(|i| p.enthalpy[i]).sum::<f64>()
+            };
+            let start = upper(&solver);
+            for _ in 0..10 {
+                let audit = advance(&mut solver).audit.expect("an audit");
+                assert!(audit.closes(1e-6), "{audit:?}");
+            }
+            (upper(&solver) - start, bits(&solver))
+        })
+    };
+    let (joined, (parted, one)) = (run(1, 0.0).0, run(1, 10.0));
+    // Nearly all of the heat of the upper half comes from the lower one.
+    assert!(parted.abs() < 0.1 * joined, "{parted} of {joined}");
+    assert!(one == run(3, 10.0).1, "threads");
+}
+
 fn threads_and_restarts(storage: Storage) {
     let air = SimulatedAir { wall_film: 10.0, emissivity: 0.9, plume_steps: 5, storage, ..SimulatedAir::default() };
     let setup = config(air, 350.0, true);

@@ -1,8 +1,13 @@
 //! Resistance to heat between bodies that touch.
 
 use megas_math::rng::Rng;
+use megas_model::{FLAG_INTERNAL, Points};
+use megas_sim::collider::{Collider, Shape};
 use megas_sim::grid::Grid;
 use megas_sim::material::Material;
+use megas_sim::mechanics::Bounds;
+use megas_sim::phase::PhaseOptions;
+use megas_sim::solver::{Coupling, Solver, SolverConfig};
 use megas_sim::thermal::{Audit, ThermalOptions, ThermalPoints, ThermalSolver, Wall};
 
 const DX: f64 = 2e-3;
@@ -194,4 +199,59 @@ fn no_resistance_is_as_before_and_threads_change_no_bit() {
     assert!(run(1, &resistances) == run(3, &resistances), "threads");
     assert!(run(1, &[]) == run(2, &[(1, 0.0), (2, 3e-3), (2, 0.0)]), "no resistance");
     assert!(run(1, &[]) != run(1, &resistances), "a resistance");
+}
+
+/// Two blocks of 8 cells, one standing on the other under its weight: their points leave a gap, which is none.
+#[test]
+fn a_block_that_stands_on_another_meets_the_resistance() {
+    const RESISTANCE: f64 = 5e-3;
+    let (shear_modulus, bulk_modulus) = Material::moduli(1e5, 0.3);
+    let rubber = Material { shear_modulus, bulk_modulus, melt_shear_modulus: shear_modulus, ..solid(50.0) };
+    let mut points = Points::default();
+    for i in 0..2 * 16usize.pow(3) {
+        let site = [i / 512, i / 32 % 16, i % 32];
+        let upper = site[2] >= 16;
+        points.position.push(std::array::from_fn(|a| ([6.0, 6.0, 5.0][a] + 0.5 * (site[a] as f64 + 0.5)) * DX));
+        points.volume.push((DX / 2.0).powi(3) as f32);
+        points.temperature.push(if upper { 310.0 } else { 300.0 });
+        points.normal.push([0.0; 3]);
+        points.material.push(0);
+        points.object.push(1 + u16::from(upper));
+        points.flags.push(FLAG_INTERNAL);
+        points.id.push(i as u32);
+    }
+    let config = SolverConfig {
+        grid: Grid { origin: [0.0; 3], spacing: DX, nodes: [20, 20, 28] },
+        materials: vec![rubber],
+        sources: Vec::new(),
+        colliders: vec![Collider::new(Shape::HalfSpace { point: [0.0, 0.0, 5.0 * DX], normal: [0.0, 0.0, 1.0] })],
+        gravity: [0.0, 0.0, -9.81],
+        ambient: 300.0,
+        thermal: ThermalOptions::default(),
+        phase: PhaseOptions::default(),
+        frame_dt: 0.1,
+        coupling_step: 5e-3,
+        courant: 0.4,
+        mechanics: true,
+        bounds: Bounds::Clamp,
+        coupling: Coupling::default(),
+    };
+    let mut solver = Solver::new(config, &points).expect("a solver");
+    solver.set_contact_resistance(2, RESISTANCE);
+    let apart = |solver: &Solver| {
+        let p = solver.particles();
+        let mean = |o: u16| (0..p.len()).filter(|i| p.object[*i] == o).map(|i| p.enthalpy[i]).sum::<f64>();
+        mean(2) - mean(1)
+    };
+    let start = apart(&solver);
+    for _ in 0..10 {
+        let report = solver.advance_frame(&|| false).expect("a step").expect("not stopped");
+        assert!(report.audit.expect("an audit").closes(1e-9));
+        solver.export();
+    }
+    let side = 8.0 * DX;
+    // Bi = 2L/kR = 0.13: the blocks' own resistance adds 2L/3k.
+    let exact = 2.0 / ((RESISTANCE + 2.0 * side / (3.0 * 50.0)) * 2e6 * side);
+    let rate = (start / apart(&solver)).ln();
+    assert!((rate / exact - 1.0).abs() < 0.15, "{rate} for {exact}");
 }

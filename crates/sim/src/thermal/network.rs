@@ -328,7 +328,7 @@ impl Network {
     /// Layer of a slot.
     #[inline(always)]
     pub(crate) fn layer(&self, slot: usize) -> usize {
-        self.places[slot] as usize % self.layers
+        if self.layers == 1 { 0 } else { self.places[slot] as usize % self.layers }
     }
 
     /// Slot of a memory index in `layer`, if that holds material there.

@@ -101,8 +101,10 @@ impl Stencil {
     /// The same nodes in an array that holds `layers` values per node, of which `layer` is meant.
     #[inline(always)]
     pub(crate) fn in_layer(mut self, layers: usize, layer: usize) -> Self {
-        self.rows = self.rows.map(|r| r * layers + layer);
-        self.z = self.z.map(|z| z * layers);
+        if layers > 1 {
+            self.rows = self.rows.map(|r| r * layers + layer);
+            self.z = self.z.map(|z| z * layers);
+        }
         self
     }
 
