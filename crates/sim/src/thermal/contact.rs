@@ -93,9 +93,8 @@ fn face(network: &Network, lattice: &Lattice, slot: usize) -> [f64; 2] {
     [inward.iter().map(|s| s * s).sum::<f64>().sqrt(), full.min(1.0)]
 }
 
-/// Collects the contacts of all nodes that hold several bodies.
+/// Adds the contacts of all nodes that hold several bodies.
 pub(crate) fn collect(network: &Network, lattice: &Lattice, layers: &Layers, spacing: f64, contacts: &mut Vec<Contact>) {
-    contacts.clear();
     let mut first = 0;
     while first < network.len() {
         // The slots of one node follow each other.

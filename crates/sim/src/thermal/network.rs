@@ -409,6 +409,7 @@ impl Network {
         self.e0.clear();
         self.walls.clear();
         self.rims.clear();
+        self.contacts.clear();
         self.air.clear();
         self.air_t.clear();
     }
