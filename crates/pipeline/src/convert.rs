@@ -427,6 +427,10 @@ pub fn prepare(loaded: &LoadedScene, bodies: &Bodies) -> Result<Prepared, Failur
         coupling_step: scene.simulation.coupling_step_s,
         courant: scene.simulation.courant,
         mechanics: scene.simulation.mechanics,
+        bounds: match scene.simulation.bounds {
+            megas_scene::Bounds::Clamp => megas_sim::mechanics::Bounds::Clamp,
+            megas_scene::Bounds::Delete => megas_sim::mechanics::Bounds::Delete,
+        },
         coupling: Coupling {
             plain_momentum: scene.simulation.momentum_transfer == MomentumTransfer::Pic,
             heat_every_substep: scene.simulation.heat_every_substep,

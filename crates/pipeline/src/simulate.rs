@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use megas_model::{FLAG_SPLAT, PointFrame};
-use megas_scene::Severity;
+use megas_scene::{Bounds, Severity};
 use megas_sim::solver::{Checkpoint, FrameReport, SimError, Solver, Totals, repaired};
 use serde_json::{Value, json};
 
@@ -51,10 +51,10 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     // The slot of the ring to write next: never the one that holds the newest checkpoint.
     let mut slot = resumed.map_or(0, |used| 1 - used);
     sink.event(Event::Stage { name: "simulate", steps: total - 1 });
+    let objects = crate::body::scene_objects(&loaded.scene);
     if resumed.is_some() {
         sink.event(Event::Note(&format!("continuing at frame {} of {total}", solver.frames_done())));
     } else {
-        let objects = crate::body::scene_objects(&loaded.scene);
         let velocity = |o: &megas_scene::Object| o.initial_velocity_m_s;
         if objects.iter().all(|o| velocity(o).is_none())
             && let Some((object, sunk)) = solver.settle(loaded.scene.simulation.settle_s).map_err(fail)?
@@ -75,6 +75,11 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
         }
         write_frame(&stage.path, 0, &solver.export(), None)?;
     }
+    for (k, o) in objects.iter().enumerate() {
+        if let Some(resistance) = o.contact_resistance_m2k_w {
+            solver.set_contact_resistance(k as u16 + 1, resistance);
+        }
+    }
     sink.event(Event::Step { done: solver.frames_done() });
     let start = Instant::now();
     let mut told = false;
@@ -88,7 +93,10 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
         };
         warn_about(&report, bodies.points.len(), sink);
         let frame = solver.export();
-        if !told && let Some(text) = confined(&frame, &grid) {
+        if !told
+            && loaded.scene.simulation.bounds == Bounds::Clamp
+            && let Some(text) = confined(&frame, &grid)
+        {
             told = true;
             sink.event(Event::Warning(&text));
         }
@@ -102,6 +110,16 @@ pub fn simulate(loaded: &LoadedScene, bodies: &Bodies, stage: &StageDir, found: 
     let totals = solver.totals().clone();
     if totals.energy_residual() > AUDIT_LIMIT {
         sink.event(Event::Warning(&format!("the energy audit does not close: relative residual {:.1e}", totals.energy_residual())));
+    }
+    let lost = totals.escaped;
+    if lost.points > 0 {
+        sink.event(Event::Note(&format!(
+            "{} of {} points left the simulated space, with {:.3e} kg and {:.3e} J",
+            lost.points,
+            bodies.points.len(),
+            lost.mass,
+            lost.heat
+        )));
     }
     let figures = figures(&totals, total, bodies, acceleration);
     stage.finish(&figures)?;
@@ -135,6 +153,7 @@ fn figures(totals: &Totals, frames: u64, bodies: &Bodies, acceleration: f64) -> 
         "rollbacks": totals.rollbacks,
         "temperatures_put_right": totals.temperatures,
         "points_out_of_density_range": totals.strayed,
+        "escaped": totals.escaped,
         "energy_removed_j": totals.capped_energy,
         "max_speed_m_s": totals.max_speed,
         "thermal_acceleration": acceleration,

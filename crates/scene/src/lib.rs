@@ -44,7 +44,7 @@ pub use presets::{DEFAULT_MATERIAL, MaterialPreset, material_presets};
 pub use scene::{Clock, Scene};
 pub use schema::json_schema;
 pub use settings::{
-    Air, AirMode, AirStorage, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Quality, Simulation, Time,
+    Air, AirMode, AirStorage, Bounds, Fill, HeatTransfer, MomentumTransfer, OpenBottom, PhaseMode, Preset, Quality, Simulation, Time,
 };
 pub use shape::{BoxShape, Frame, HalfSpace, HeightShape, MeshShape, Placement, Plane, Sphere, Tube};
 pub use skin::{CrackKernel, Draw, KernelRadius, Push, Skin, SurfaceNormals, SurfaceRule};

@@ -34,6 +34,11 @@ pub struct Object {
     /// Velocity at the start in m/s, +z up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial_velocity_m_s: Option<[f64; 3]>,
+    /// Resistance to heat of this object's side of its contacts with other objects in m²·K/W; that of a contact is the sum of both
+    /// sides. None if left out. Dry, rough solids have about 1e-4, a layer of paper or felt 1e-3 to 1e-1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub contact_resistance_m2k_w: Option<f64>,
 }
 
 impl Default for Object {
@@ -47,6 +52,7 @@ impl Default for Object {
             filling: Filling::Rays,
             initial_temperature_c: None,
             initial_velocity_m_s: None,
+            contact_resistance_m2k_w: None,
         }
     }
 }

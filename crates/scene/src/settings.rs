@@ -136,6 +136,17 @@ pub enum MomentumTransfer {
     Pic,
 }
 
+/// What the sides of the simulated space do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Bounds {
+    /// They are walls.
+    #[default]
+    Clamp,
+    /// What reaches them is gone.
+    Delete,
+}
+
 /// The simulation's grid and rules.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -181,6 +192,9 @@ pub struct Simulation {
     /// Size of the simulated space in metres, [x, y, z] with z up, around and above the objects; chosen with room to spread if left out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub box_m: Option<[f64; 3]>,
+    /// What the sides of the simulated space do: "clamp" (walls) or "delete": what comes within two cells of a side is gone, with its
+    /// mass and heat, and not drawn any more. The report counts it.
+    pub bounds: Bounds,
     /// Share of the stable time step that is used.
     #[schemars(range(min = 0.05, max = 0.7))]
     pub courant: f64,
@@ -209,6 +223,7 @@ impl Default for Simulation {
             momentum_transfer: MomentumTransfer::Affine,
             frozen_stress: 0.0,
             box_m: None,
+            bounds: Bounds::Clamp,
             courant: 0.4,
             settle_s: 0.25,
             coupling_step_s: 0.002,

@@ -22,6 +22,7 @@ size_m = 0.3
 material = "cake"
 initial_temperature_c = 5
 initial_velocity_m_s = [0, 0, -1]
+contact_resistance_m2k_w = 2e-4
 
 [object.select]
 box = { min = [-1, -1, -1], max = [1, 1, 1], rotation_deg = [0, 0, 30] }
@@ -80,6 +81,7 @@ acceleration = 50
 [simulation]
 cells = 32
 box_m = [1, 1, 0.5]
+bounds = "delete"
 phase_mode = "binary"
 
 [fill]

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::collider::{Collider, Thermal};
 use crate::grid::Grid;
 use crate::material::Material;
-use crate::mechanics::{Mechanics, Report, Settings};
+use crate::mechanics::{Bounds, Mechanics, Report, Settings};
 use crate::particles::{ParticleError, Particles};
 use crate::phase::{PhaseOptions, PhaseRule, scale_deviator, swell};
 use crate::source::{HeatSource, SourceKind};
@@ -60,6 +60,8 @@ pub struct SolverConfig {
     pub courant: f64,
     /// False leaves pure conduction in bodies at rest.
     pub mechanics: bool,
+    /// What happens to matter at the sides of the grid.
+    pub bounds: Bounds,
     /// How mechanics and heat are joined.
     pub coupling: Coupling,
 }
@@ -167,7 +169,12 @@ impl Solver {
             }
         }
         particles.sort();
-        let settings = Settings { gravity: config.gravity, plain_momentum: config.coupling.plain_momentum, ..Settings::default() };
+        let settings = Settings {
+            gravity: config.gravity,
+            plain_momentum: config.coupling.plain_momentum,
+            bounds: config.bounds,
+            ..Settings::default()
+        };
         let mechanics = Mechanics::new(&config.grid, settings, config.colliders.clone());
         let (solids, cells) = Solids::new(&config.grid, &config.colliders);
         thermal.set_solids(solids);
@@ -215,6 +222,12 @@ impl Solver {
         }
     }
 
+    /// Gives `object` a resistance to heat of its side of every contact with another object \[m²K/W\], ≥ 0; that of a contact is the
+    /// sum of both sides (simulation.md §6.3). Meant for the start; checkpoints do not hold it.
+    pub fn set_contact_resistance(&mut self, object: u16, resistance: f64) {
+        self.thermal.set_contact_resistance(object, resistance);
+    }
+
     /// Lets solids find their rest under gravity before time starts: mechanics alone, strongly damped, for `seconds`. Without it
     /// a film begins with the jolt of a body that feels its own weight at once. Time, heat and totals do not move. Returns the
     /// object whose centre sank the most and by how much \[m\]: what sinks by more than a cell or two has fallen, not settled.
@@ -227,10 +240,13 @@ impl Solver {
         let before = self.heights();
         let steps = (seconds / self.config.coupling_step).ceil().max(1.0);
         self.mechanics.settings.drag = DRAG;
+        // Nothing is lost before time starts.
+        self.mechanics.settings.bounds = Bounds::Clamp;
         for _ in 0..steps as u64 {
             self.substeps(seconds / steps)?;
         }
         self.mechanics.settings.drag = 0.0;
+        self.mechanics.settings.bounds = self.config.bounds;
         for i in 0..self.particles.len() {
             self.particles.set_velocity(i, [0.0; 3]);
             self.particles.set_affine(i, [[0.0; 3]; 3]);
@@ -319,9 +335,16 @@ impl Solver {
                     failed = step.max(failed);
                     self.caution.raise();
                     report.rollbacks += 1;
-                    // Shorter substeps did not help: the harm may have been done in the step before.
-                    // (Air is not kept from step to step; with it, only the step itself is repeated.)
-                    if failures == 2 && step > 0 && air.is_none() {
+                    // Shorter substeps did not help: the harm may have been done in the step before. Of simulated air only the start of
+                    // the frame is kept: a copy of it in every step would cost time and memory that hardly any run needs.
+                    let before_last = failures == 2 && step > 0;
+                    if self.thermal.simulates_air() && (before_last || self.config.coupling.heat_every_substep) {
+                        self.caution.last(step);
+                        step = 0;
+                        self.thermal.return_air(air.clone());
+                        self.cautious_heat = before.1;
+                        self.go_back(step, &mut report);
+                    } else if before_last {
                         step -= 1;
                         self.go_back(step, &mut report);
                     }
@@ -363,6 +386,7 @@ impl Solver {
 
     /// One exchange between mechanics and heat.
     fn exchange(&mut self, time: f64, dt: f64, report: &mut FrameReport) -> Result<Result<(), (u64, f64)>, SimError> {
+        let mut lost = 0.0;
         if self.config.mechanics {
             self.mechanics.time = time;
             let (found, attempt) = self.substeps(dt)?;
@@ -381,6 +405,8 @@ impl Solver {
             report.substeps += attempt.0;
             report.substep_min = report.substep_min.min(attempt.1);
             report.strayed = health.strayed;
+            report.escaped += found.escaped;
+            lost = found.escaped.heat;
             self.caution.relax();
         }
         self.particles.sort();
@@ -388,7 +414,7 @@ impl Solver {
         let part = dt / f64::from(parts);
         for k in 0..parts {
             let audit = self.heat(time + f64::from(k) * part, part)?;
-            report.audit(&audit);
+            report.audit(&audit.after_loss(std::mem::take(&mut lost)));
         }
         let clamped = self.keep_temperatures(report);
         self.cautious_heat.after(clamped);

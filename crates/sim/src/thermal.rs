@@ -3,6 +3,7 @@
 //! One call of [`ThermalSolver::step`] per coupling step. Nothing is carried from step to step except what is in the points,
 //! so a checkpoint of the points is a checkpoint of the heat.
 
+pub(crate) mod contact;
 pub(crate) mod enthalpy;
 mod estimate;
 pub(crate) mod network;
@@ -151,6 +152,9 @@ pub struct Audit {
     /// Heat of air that material pushed away or left behind; air only takes part where it is simulated.
     #[serde(default)]
     pub displaced: f64,
+    /// With matter that left the box.
+    #[serde(default)]
+    pub escaped: f64,
     /// Heat of the simulated air at the end, contained in `after`.
     #[serde(default)]
     pub air: f64,
@@ -180,6 +184,7 @@ impl Audit {
             solid: self.solid + later.solid,
             open: self.open + later.open,
             displaced: self.displaced + later.displaced,
+            escaped: self.escaped + later.escaped,
             air: later.air,
             capped: self.capped.saturating_add(later.capped),
             residual: self.residual + later.residual,
@@ -191,7 +196,13 @@ impl Audit {
 
     /// Sum of the sizes of all heats \[J\].
     pub fn heats(&self) -> f64 {
-        [self.source, self.dirichlet, self.film, self.wall, self.solid, self.open, self.displaced].iter().map(|q| q.abs()).sum()
+        let all = [self.source, self.dirichlet, self.film, self.wall, self.solid, self.open, self.displaced, self.escaped];
+        all.iter().map(|q| q.abs()).sum()
+    }
+
+    /// The balance of a step before which matter with this `heat` \[J\] left.
+    pub(crate) fn after_loss(self, heat: f64) -> Self {
+        Self { before: self.before + heat, escaped: self.escaped - heat, ..self }
     }
 
     /// True while the residual stays below `fraction` of the energies involved.

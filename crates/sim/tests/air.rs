@@ -6,7 +6,7 @@ use megas_sim::collider::{Collider, Shape, Thermal};
 use megas_sim::grid::Grid;
 use megas_sim::material::Material;
 use megas_sim::phase::PhaseOptions;
-use megas_sim::solver::{FrameReport, Solver, SolverConfig};
+use megas_sim::solver::{Checkpoint, Coupling, FrameReport, Solver, SolverConfig};
 use megas_sim::thermal::{AirModel, ThermalOptions};
 
 const AMBIENT: f64 = 293.15;
@@ -66,6 +66,7 @@ fn config(air: SimulatedAir, plate: f64, mechanics: bool) -> SolverConfig {
         coupling_step: 0.002,
         courant: 0.4,
         mechanics,
+        bounds: Default::default(),
         coupling: Default::default(),
     }
 }
@@ -179,6 +180,104 @@ fn threads_and_restarts_change_no_bit() {
     }
 }
 
+/// What a checkpoint holds.
+fn snapshot(solver: &Solver) -> (Checkpoint, Vec<Vec<u8>>) {
+    let mut arrays: Vec<Vec<u8>> = solver.particles().arrays().into_iter().map(|(_, b)| b.to_vec()).collect();
+    arrays.push(bytemuck::cast_slice(&solver.air_state()).to_vec());
+    (solver.checkpoint(), arrays)
+}
+
+/// All bits of points and air.
+fn bits(solver: &Solver) -> (u64, Vec<u32>) {
+    (solver.particles().state_hash(), solver.air_state().iter().map(|v| v.to_bits()).collect())
+}
+
+/// Substeps ten times too long, so that some frames are repeated with shorter ones after the first steps of their air.
+#[test]
+fn a_repeated_frame_starts_with_the_air_of_its_start() {
+    const STEPS: u32 = 10;
+    let setup = SolverConfig { courant: 4.0, coupling_step: 0.004, frame_dt: 0.04, ..config(SimulatedAir::default(), 350.0, true) };
+    let points = cube(320.0, 7.0);
+    let mut solver = Solver::new(setup.clone(), &points).expect("a solver");
+    let (mut repeated, mut adapted) = (0, 0);
+    for _ in 0..5 {
+        let (mut start, arrays) = snapshot(&solver);
+        let lattice = solver.air_step();
+        let report = advance(&mut solver);
+        assert!(report.audit.expect("an audit").closes(1e-5), "{report:?}");
+        if report.rollbacks != 2 {
+            continue;
+        }
+        repeated += 1;
+        adapted += u32::from(lattice != solver.air_step());
+        // The same from the start of the frame, careful from the first step on.
+        let (left, factor) = solver.checkpoint().cautious;
+        start.cautious = (left + STEPS, factor);
+        let mut careful = Solver::new(setup.clone(), &points).expect("a solver");
+        careful.restore(start, &arrays).expect("a checkpoint that fits");
+        assert_eq!(advance(&mut careful).rollbacks, 0);
+        assert!(bits(&careful) == bits(&solver), "the air or the points are others");
+        assert_eq!(careful.checkpoint().cautious, solver.checkpoint().cautious);
+    }
+    assert!(repeated >= 2 && adapted >= 2, "{repeated} frames repeated, {adapted} with another step of the lattice at their end");
+}
+
+/// Exchanges of changing length: the lattice follows.
+#[test]
+fn air_exchanges_heat_after_every_substep() {
+    let coupling = Coupling { heat_every_substep: true, ..Coupling::default() };
+    let setup = SolverConfig { coupling, coupling_step: 0.001, frame_dt: 0.002, ..config(SimulatedAir::default(), 350.0, true) };
+    let points = cube(320.0, 7.0);
+    let run = |restart: Option<usize>| {
+        let mut solver = Solver::new(setup.clone(), &points).expect("a solver");
+        solver.set_object_velocity(1, [0.0, 0.0, -0.5]);
+        for k in 0..8 {
+            if restart == Some(k) {
+                let (checkpoint, arrays) = snapshot(&solver);
+                solver = Solver::new(setup.clone(), &points).expect("a solver");
+                solver.restore(checkpoint, &arrays).expect("a checkpoint that fits");
+            }
+            let audit = advance(&mut solver).audit.expect("an audit");
+            assert!(audit.closes(1e-5), "{audit:?}");
+        }
+        assert!(solver.totals().audit.expect("an audit").air > 0.0);
+        bits(&solver)
+    };
+    assert!(run(None) == run(Some(5)), "a restart differs");
+}
+
+/// The lower half of a cube is another, hotter body, with and without a resistance between them.
+#[test]
+fn bodies_with_a_contact_resistance_share_the_air() {
+    let mut points = cube(300.0, 5.0);
+    for i in 0..points.id.len() {
+        (points.object[i], points.temperature[i]) = if i % 12 < 6 { (1, 316.0) } else { (2, 300.0) };
+    }
+    let run = |threads: usize, resistance: f64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        pool.install(|| {
+            let air = SimulatedAir { wall_film: 10.0, emissivity: 0.9, ..SimulatedAir::default() };
+            let setup = SolverConfig { coupling_step: 0.01, frame_dt: 0.2, ..config(air, 350.0, false) };
+            let mut solver = Solver::new(setup, &points).expect("a solver");
+            solver.set_contact_resistance(2, resistance);
+            let upper = |solver: &Solver| {
+                let p = solver.particles();
+                (0..p.len()).filter(|i| p.object[*i] == 2).map(|i| p.enthalpy[i]).sum::<f64>()
+            };
+            let start = upper(&solver);
+            for _ in 0..10 {
+                let audit = advance(&mut solver).audit.expect("an audit");
+                assert!(audit.closes(1e-6), "{audit:?}");
+            }
+            (upper(&solver) - start, bits(&solver))
+        })
+    };
+    let (joined, (parted, one)) = (run(1, 0.0).0, run(1, 10.0));
+    // Nearly all of the heat of the upper half comes from the lower one.
+    assert!(parted.abs() < 0.1 * joined, "{parted} of {joined}");
+    assert!(one == run(3, 10.0).1, "threads");
+}
+
 fn threads_and_restarts(storage: Storage) {
     let air = SimulatedAir { wall_film: 10.0, emissivity: 0.9, plume_steps: 5, storage, ..SimulatedAir::default() };
     let setup = config(air, 350.0, true);
@@ -189,16 +288,13 @@ fn threads_and_restarts(storage: Storage) {
             let mut solver = Solver::new(setup.clone(), &points).expect("a solver");
             for k in 0..6 {
                 if restart == Some(k) {
-                    let mut arrays: Vec<Vec<u8>> = solver.particles().arrays().into_iter().map(|(_, b)| b.to_vec()).collect();
-                    arrays.push(bytemuck::cast_slice(&solver.air_state()).to_vec());
-                    let checkpoint = solver.checkpoint();
+                    let (checkpoint, arrays) = snapshot(&solver);
                     solver = Solver::new(setup.clone(), &points).expect("a solver");
                     solver.restore(checkpoint, &arrays).expect("a checkpoint that fits");
                 }
                 advance(&mut solver);
             }
-            let air: Vec<u32> = solver.air_state().iter().map(|v| v.to_bits()).collect();
-            (solver.particles().state_hash(), air)
+            bits(&solver)
         })
     };
     let one = run(1, None);

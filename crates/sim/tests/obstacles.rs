@@ -59,6 +59,7 @@ fn config(grid: Grid, colliders: Vec<Collider>) -> SolverConfig {
         coupling_step: 2e-3,
         courant: 0.4,
         mechanics: true,
+        bounds: Default::default(),
         coupling: Coupling::default(),
     }
 }

@@ -153,6 +153,7 @@ impl Torus {
             coupling_step: 2e-3,
             courant: 0.4,
             mechanics: true,
+            bounds: Default::default(),
             coupling: Coupling::default(),
         };
         (config, points)

@@ -94,6 +94,7 @@ pub(crate) fn config(grid: Grid, material: Material, sources: Vec<HeatSource>) -
         coupling_step: 2e-3,
         courant: 0.4,
         mechanics: true,
+        bounds: Default::default(),
         coupling: Coupling::default(),
     }
 }

@@ -1,6 +1,7 @@
 //! Heat in points and nodes: conservation, numerical diffusion, fronts, surfaces (simulation.md §8.1, §8.2).
 
 mod cloud;
+mod contact;
 mod fronts;
 mod melting_time;
 mod spheres;
@@ -79,6 +80,10 @@ pub const CASES: &[Case] = &[
         .proves("that latent heat, area and film together give the melting time, and how it grows with size")
         .setup("balls of 6 and 12 cells per radius (1 mm) at their melting point in air 20 K warmer, good conductors (Bi ≤ 0.012)")
         .formula("t = ρLR/(3h_{f}ΔT) while the melt stays; ratios 2, 4 and 2^{5/4} for h_{f} constant, ∝ 1/D and ∝ D^{−1/4}"),
+    Case::new("V48", "two slabs with a contact resistance", Tier::B, contact::slabs)
+        .proves("that heat between bodies that touch meets the resistance they are given, neither less by a short circuit nor more")
+        .setup("slabs of 6 cells of 2 mm made of points: between walls 100 K apart, faces at five places of a cell, alike and with conductivities 1 : 4; and alone, one 100 K warmer, Bi = 0.02 and 1")
+        .formula("q = ΔT/(L_{1}/k_{1} + R + L_{2}/k_{2}); ΔT = ΔT_{0} Σ_{n} 2 sin²ζ_{n}/(ζ_{n}(ζ_{n} + sin ζ_{n} cos ζ_{n})) e^{−ζ²Fo}, ζ_{n} tan ζ_{n} = Bi = 2L/kR, for Bi → 0 e^{−2t/RC}"),
 ];
 
 /// Σ m h on the way to the nodes, through conduction and a source, and back.

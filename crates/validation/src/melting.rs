@@ -69,6 +69,7 @@ fn config(grid: Grid, material: Material, sources: Vec<HeatSource>) -> SolverCon
         coupling_step: 0.01,
         courant: 0.4,
         mechanics: true,
+        bounds: Default::default(),
         coupling: Coupling::default(),
     }
 }

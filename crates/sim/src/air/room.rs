@@ -137,7 +137,7 @@ pub(crate) struct Room {
     settings: SimulatedAir,
     pub(crate) lattice: Lattice,
     pub(crate) step: AirStep,
-    /// Coupling step that the lattice was made for \[s\].
+    /// Coupling step that the lattice is made for \[s\].
     dt: f64,
     ambient: f64,
     spacing: f64,
@@ -188,19 +188,22 @@ impl Room {
         let [least, calm] = [1.0, CALM].map(|part| SimulatedAir::steps(self.spacing, self.dt, speed / part));
         let steps = self.step.steps.clamp(least, calm);
         if steps != self.step.steps {
-            self.change_steps(steps);
+            self.change_steps(self.dt, steps);
         }
     }
 
-    fn change_steps(&mut self, steps: u32) {
-        let (lattice, step) = self.settings.lattice(self.lattice.settings().nodes, self.spacing, self.dt, steps, self.ambient);
-        self.lattice.change_step(lattice, f64::from(self.step.steps) / f64::from(steps));
-        self.step = step;
+    /// Divides coupling steps of `dt` seconds into `steps` from now on.
+    fn change_steps(&mut self, dt: f64, steps: u32) {
+        let (lattice, step) = self.settings.lattice(self.lattice.settings().nodes, self.spacing, dt, steps, self.ambient);
+        self.lattice.change_step(lattice, dt / self.dt * f64::from(self.step.steps) / f64::from(steps));
+        (self.dt, self.step) = (dt, step);
     }
 
-    /// True if the lattice was made for steps of `dt`.
-    pub(crate) fn fits(&self, dt: f64) -> bool {
-        (dt / self.dt - 1.0).abs() < 1e-9
+    /// Makes the lattice fit coupling steps of `dt` seconds.
+    pub(crate) fn set_interval(&mut self, dt: f64) {
+        if (dt / self.dt - 1.0).abs() >= 1e-9 {
+            self.change_steps(dt, SimulatedAir::steps(self.spacing, dt, self.speed));
+        }
     }
 
     /// Gives every node its role for this coupling step and the network its share of the air. `velocity(slot)` in m/s.
@@ -214,12 +217,10 @@ impl Room {
         let mut states = std::mem::take(&mut self.states);
         states.clear();
         let solid_wall = |i: usize| walls.map_or(Wall::Open, |w| w[i]);
-        let mut slot = 0;
         let total: usize = self.lattice.settings().nodes.iter().product();
         let [_, ny, nz] = self.lattice.settings().nodes;
         for i in 0..total {
-            let mine = (slot < network.len() && network.dense[slot] as usize == i).then_some(slot);
-            slot += usize::from(mine.is_some());
+            let mine = network.slot_of_index(i);
             let wall = solid_wall(i);
             let node = [i / nz / ny, i / nz % ny, i % nz];
             let state = match (wall, mine) {
@@ -302,7 +303,7 @@ impl Room {
         let mut share = 0.0;
         for s in 0..network.len() {
             let t = (network.t[s] - self.ambient) as f32;
-            if !network.is_thin(s) {
+            if !network.is_thin(s) && network.leads(s) {
                 self.lattice.set_temperature(network.node(s), t);
                 share += network.air_capacity(s) * f64::from(t);
             }
@@ -317,26 +318,28 @@ impl Room {
         let mut out = self.lattice.save();
         // An f64 as two f32 that add up to it would lose bits; keep the bits themselves.
         let bits = self.share.to_bits();
-        let (speed, steps) = (self.speed.to_bits(), self.step.steps);
-        out.extend([bits >> 32, bits, speed >> 32, speed, u64::from(steps), u64::from(self.started)].map(|b| f32::from_bits(b as u32)));
+        let (speed, dt, steps) = (self.speed.to_bits(), self.dt.to_bits(), self.step.steps);
+        let tail = [bits >> 32, bits, speed >> 32, speed, dt >> 32, dt, u64::from(steps), u64::from(self.started)];
+        out.extend(tail.map(|b| f32::from_bits(b as u32)));
         out
     }
 
     /// Continues from [`Room::save`]; false if it does not fit.
     pub(crate) fn restore(&mut self, state: &[f32]) -> bool {
-        let Some((lattice, tail)) = state.split_last_chunk::<6>() else { return false };
-        let [high, low, fast, er, steps, started] = tail.map(f32::to_bits);
-        if steps == 0 {
+        let Some((lattice, tail)) = state.split_last_chunk::<8>() else { return false };
+        let [share, share_low, speed, speed_low, dt, dt_low, steps, started] = tail.map(f32::to_bits);
+        let whole = |high: u32, low: u32| f64::from_bits(u64::from(high) << 32 | u64::from(low));
+        let dt = whole(dt, dt_low);
+        if steps == 0 || !(dt > 0.0 && dt.is_finite()) {
             return false;
         }
-        if steps != self.step.steps {
-            self.change_steps(steps);
+        if steps != self.step.steps || dt != self.dt {
+            self.change_steps(dt, steps);
         }
         if !self.lattice.restore(lattice) {
             return false;
         }
-        let whole = |high: u32, low: u32| f64::from_bits(u64::from(high) << 32 | u64::from(low));
-        (self.share, self.speed, self.started) = (whole(high, low), whole(fast, er), started != 0);
+        (self.share, self.speed, self.started) = (whole(share, share_low), whole(speed, speed_low), started != 0);
         true
     }
 }

@@ -40,12 +40,30 @@ pub enum Wall {
 }
 
 /// What happens to a point within two nodes of the box (simulation.md §9.3).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Bounds {
-    /// It is held there.
+    /// It is held there, and the faces of the box are walls.
+    #[default]
     Clamp,
-    /// It loses its mass and is flagged as escaped.
+    /// It loses its mass and is flagged as escaped; the faces are open.
     Delete,
+}
+
+/// Points that left the box for good.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Escaped {
+    /// Points that carried mass.
+    pub points: u64,
+    /// Their mass \[kg\].
+    pub mass: f64,
+    /// Their heat `Σ m h` \[J\].
+    pub heat: f64,
+}
+
+impl AddAssign for Escaped {
+    fn add_assign(&mut self, o: Self) {
+        *self = Self { points: self.points + o.points, mass: self.mass + o.mass, heat: self.heat + o.heat };
+    }
 }
 
 /// Which shear modulus the backward Euler step of the flow uses (simulation.md §5.2).
@@ -103,7 +121,7 @@ pub struct Repairs {
     pub degenerate: u64,
     /// Speeds cut to half a node spacing per substep.
     pub capped: u64,
-    /// Points held at (or deleted beyond) the margin of the box.
+    /// Points held at the margin of the box.
     pub out_of_box: u64,
     /// Points pushed out of an obstacle.
     pub projected: u64,
@@ -149,6 +167,8 @@ pub struct Report {
     pub volume_ratio: (f64, f64),
     /// Kinetic energy taken by the speed cap \[J\].
     pub energy_removed: f64,
+    /// Points lost at the faces of the box.
+    pub escaped: Escaped,
 }
 
 /// The solver: settings, obstacles and the sparse grid.
@@ -209,9 +229,12 @@ impl Mechanics {
             }
             self.time += steps as f64 * dt;
             outcome.repairs.projected += self.project_out(particles);
-            if self.settings.bounds == Bounds::Delete {
-                for i in (0..particles.len()).filter(|&i| particles.flags[i] & FLAG_ESCAPED != 0).collect::<Vec<_>>() {
-                    particles.mass[i] = 0.0;
+        }
+        let mut escaped = Escaped::default();
+        if self.settings.bounds == Bounds::Delete {
+            for i in 0..particles.len() {
+                if particles.flags[i] & FLAG_ESCAPED != 0 {
+                    escaped += remove(particles, i);
                 }
             }
         }
@@ -220,6 +243,7 @@ impl Mechanics {
             max_speed: f64::from(outcome.speed2).sqrt(),
             volume_ratio: (f64::from(outcome.volume.0), f64::from(outcome.volume.1)),
             energy_removed: outcome.removed,
+            escaped,
         }
     }
 
@@ -368,6 +392,16 @@ impl Mechanics {
     pub fn for_each_node(&self, f: impl FnMut([usize; 3], f32, [f32; 3])) {
         self.nodes.for_each(&self.grid, f);
     }
+}
+
+/// Takes a point out of the simulation: it has neither mass nor motion from now on.
+fn remove(p: &mut Particles, i: usize) -> Escaped {
+    let mass = f64::from(std::mem::take(&mut p.mass[i]));
+    p.volume[i] = 0.0;
+    p.set_velocity(i, [0.0; 3]);
+    p.set_affine(i, [[0.0; 3]; 3]);
+    p.set_elastic(i, mat3::identity());
+    Escaped { points: u64::from(mass > 0.0), mass, heat: mass * p.enthalpy[i] }
 }
 
 /// Nodes below this mass are empty (simulation.md §2.3): 1e-12 of the median.

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x4, f32x8, f32x16};
 
 use super::transfer::{TILE, TILE_ORIGIN, Tile};
-use super::{Settings, Wall};
+use super::{Bounds, Settings, Wall};
 use crate::collider::{Contact, Placed, apply_contacts};
 use crate::grid::{Grid, PADDING};
 use crate::particles::Block;
@@ -221,7 +221,7 @@ impl Nodes {
             q[..3].copy_from_slice(&v);
             contacts = &contacts[count..];
         }
-        if info.walls {
+        if info.walls && step.settings.bounds == Bounds::Clamp {
             walls(info.coords, out, step);
         }
         out.0.as_chunks::<4>().0.iter().fold(0.0f32, |m, q| m.max(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]))

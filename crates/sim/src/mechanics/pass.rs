@@ -397,7 +397,7 @@ impl<S: Simd> Motion<S> {
     }
 }
 
-/// Clamps points that reached the margin of the box (simulation.md §9.3); rare, one lane at a time.
+/// Clamps points that reached the margin of the box, or tells that they left (simulation.md §9.3); rare, one lane at a time.
 #[inline(always)]
 fn keep_inside<S: Simd>(
     s: S,
@@ -429,9 +429,9 @@ fn keep_inside<S: Simd>(
             }
         }
         cell[lane] = pack(c);
-        outcome.repairs.out_of_box += 1;
-        if k.bounds == Bounds::Delete {
-            view.flags[at + lane] |= FLAG_ESCAPED;
+        match k.bounds {
+            Bounds::Clamp => outcome.repairs.out_of_box += 1,
+            Bounds::Delete => view.flags[at + lane] |= FLAG_ESCAPED,
         }
     }
 }

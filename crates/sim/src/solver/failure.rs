@@ -32,6 +32,11 @@ impl Caution {
         *self = Self { steps: CAUTIOUS_STEPS, factor: (0.5 * self.factor).max(SHORTEST) };
     }
 
+    /// Keeps the substeps short for `steps` more steps, to get to where they were shortened.
+    pub fn last(&mut self, steps: u64) {
+        self.steps += steps as u32;
+    }
+
     /// After a coupling step that went well.
     pub fn relax(&mut self) {
         self.steps = self.steps.saturating_sub(1);

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::material::Material;
-use crate::mechanics::Repairs;
+use crate::mechanics::{Escaped, Repairs};
 use crate::particles::Particles;
 use crate::thermal::Audit;
 
@@ -37,6 +37,9 @@ pub struct FrameReport {
     /// Heat that this added \[J\].
     #[serde(default)]
     pub temperature_heat: f64,
+    /// What left the box.
+    #[serde(default)]
+    pub escaped: Escaped,
     /// Points denser than 1.5 or thinner than 0.5 of their reference at the end. Fragments of a melt may be.
     #[serde(default)]
     pub strayed: u64,
@@ -61,6 +64,7 @@ impl Default for FrameReport {
             capped_energy: 0.0,
             temperatures: 0,
             temperature_heat: 0.0,
+            escaped: Escaped::default(),
             strayed: 0,
             volume_change: 0.0,
             liquid_fraction: 0.0,
@@ -121,6 +125,9 @@ pub struct Totals {
     /// Heat that this added \[J\].
     #[serde(default)]
     pub temperature_heat: f64,
+    /// What left the box.
+    #[serde(default)]
+    pub escaped: Escaped,
     /// Most points outside the density range in any frame.
     #[serde(default)]
     pub strayed: u64,
@@ -138,6 +145,7 @@ impl Totals {
         self.capped_energy += frame.capped_energy;
         self.temperatures += frame.temperatures;
         self.temperature_heat += frame.temperature_heat;
+        self.escaped += frame.escaped;
         self.strayed = self.strayed.max(frame.strayed);
         self.volume_change = self.volume_change.max(frame.volume_change.abs());
         self.max_speed = self.max_speed.max(frame.max_speed);

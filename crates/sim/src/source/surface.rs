@@ -343,14 +343,14 @@ impl SurfaceMeasure {
     fn add(&mut self, network: &Network, at: usize, area: f64, out: [f32; 3], place: [f64; 3]) {
         let c = self.window.coordinates(at);
         let node = std::array::from_fn(|a| (c[a] + self.window.lo[a]) as usize);
-        if self.phi[at] > 0.0
-            && let Some(slot) = network.slot_of(node)
-        {
-            self.area[slot] += area;
-            self.depth[slot] = f64::from(depth(self.other[at]).max(0.0));
-            if let Some(facing) = self.facing.get_mut(slot) {
-                *facing = std::array::from_fn(|a| facing[a] + f64::from(out[a]));
-                self.place[slot] = std::array::from_fn(|a| self.place[slot][a] + area * place[a]);
+        if self.phi[at] > 0.0 {
+            for (slot, part) in network.parts(node) {
+                self.area[slot] += area * part;
+                self.depth[slot] = f64::from(depth(self.other[at]).max(0.0));
+                if let Some(facing) = self.facing.get_mut(slot) {
+                    *facing = std::array::from_fn(|a| facing[a] + f64::from(out[a]) * part);
+                    self.place[slot] = std::array::from_fn(|a| self.place[slot][a] + area * part * place[a]);
+                }
             }
         }
     }

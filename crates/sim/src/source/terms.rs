@@ -182,15 +182,15 @@ impl Terms {
                 terms.extend(each().map(|(s, w)| term(s, (gain * w).min(1.0), (cx.energy_at)(s, t))));
             }
             SourceKind::Power { watts } => {
-                let filled: f64 = each().map(|(s, w)| w * cx.network.phi[s]).sum();
+                let filled: f64 = each().map(|(s, w)| w * cx.network.filled(s)).sum();
                 if filled > 0.0 {
                     let scale = gain * value(*watts) / filled;
-                    terms.extend(each().map(|(s, w)| term(s, scale * w * cx.network.phi[s], 0.0)));
+                    terms.extend(each().map(|(s, w)| term(s, scale * w * cx.network.filled(s), 0.0)));
                 }
             }
             SourceKind::Volume { watts_per_m3 } => {
                 let scale = gain * value(*watts_per_m3) * volume;
-                terms.extend(each().map(|(s, w)| term(s, scale * w * cx.network.phi[s], 0.0)));
+                terms.extend(each().map(|(s, w)| term(s, scale * w * cx.network.filled(s), 0.0)));
             }
             SourceKind::Flux { watts_per_m2 } => {
                 let scale = gain * value(*watts_per_m2) * dx2;

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::material::{Material, Table};
+use crate::thermal::contact::{self, Contact, Layers};
 use crate::thermal::enthalpy::{EnthalpyCurve, MixtureCurve};
 use crate::thermal::solids::Solids;
 use crate::thermal::transfer::Lattice;
@@ -211,15 +212,21 @@ const THIN: f64 = 1e-4;
 /// Compact arrays over the nodes that hold material, in memory order of the grid.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Network {
-    /// Grid index → slot, or [`ABSENT`].
+    /// Place (grid index times layers, plus layer) → slot, or [`ABSENT`].
     slot: Vec<u32>,
     nodes: [usize; 3],
+    /// Layers of bodies between which heat meets a resistance; one without.
+    layers: usize,
+    /// Slot → place.
+    places: Vec<u32>,
     /// Slot → grid index.
     pub(crate) dense: Vec<u32>,
     pub(crate) kind: Vec<Kind>,
-    /// Mass \[kg\] and filled fraction φ (may exceed 1).
+    /// Mass \[kg\].
     pub(crate) mass: Vec<f64>,
+    /// Filled fraction φ of the node (may exceed 1), and the slot's part of what fills it: one without layers.
     pub(crate) phi: Vec<f64>,
+    pub(crate) part: Vec<f64>,
     /// Energy at the start of the step and now \[J\].
     pub(crate) e0: Vec<f64>,
     pub(crate) e: Vec<f64>,
@@ -234,6 +241,7 @@ pub(crate) struct Network {
     links: Vec<[f64; 6]>,
     walls: Vec<WallLink>,
     rims: Vec<Rim>,
+    contacts: Vec<Contact>,
     /// With simulated air only: its constants; per node the heat capacity of its air \[J/K\] and its temperature over the
     /// reference at the start; conductance to a node of air \[W/K\]; conductivity of the material alone.
     pub(crate) around: Option<Around>,
@@ -255,7 +263,7 @@ impl Network {
     pub(crate) fn set_air(&mut self, slot: usize, cell: f64, t: f64) -> f64 {
         self.air.resize(self.len(), 0.0);
         self.air_t.resize(self.len(), 0.0);
-        let air = if self.is_thin(slot) { 0.0 } else { cell * (1.0 - self.phi[slot]).max(0.0) };
+        let air = if self.is_thin(slot) || !self.leads(slot) { 0.0 } else { cell * (1.0 - self.phi[slot]).max(0.0) };
         (self.air[slot], self.air_t[slot]) = (air, t);
         air * t
     }
@@ -311,48 +319,129 @@ impl Network {
         (n[0] * self.nodes[1] + n[1]) * self.nodes[2] + n[2]
     }
 
-    /// Slot of a grid node that holds material.
+    /// Place of a slot: index into arrays with a value per node and layer.
     #[inline(always)]
-    pub(crate) fn slot_of(&self, node: [usize; 3]) -> Option<usize> {
-        self.slot_of_index(self.index(node))
+    pub(crate) fn place(&self, slot: usize) -> usize {
+        self.places[slot] as usize
     }
 
-    /// Slot of a memory index that holds material.
+    /// Layer of a slot.
     #[inline(always)]
-    pub(crate) fn slot_of_index(&self, index: usize) -> Option<usize> {
-        match self.slot[index] {
+    pub(crate) fn layer(&self, slot: usize) -> usize {
+        if self.layers == 1 { 0 } else { self.places[slot] as usize % self.layers }
+    }
+
+    /// Slot of a memory index in `layer`, if that holds material there.
+    #[inline(always)]
+    pub(crate) fn slot_in(&self, index: usize, layer: usize) -> Option<usize> {
+        match self.slot[index * self.layers + layer] {
             ABSENT => None,
             s => Some(s as usize),
         }
     }
 
-    /// Empties the network; the grid has `nodes` nodes.
-    pub(crate) fn clear(&mut self, nodes: [usize; 3]) {
-        for &i in &self.dense {
+    /// Slots of a memory index, by layer.
+    #[inline(always)]
+    fn slots_of(&self, index: usize) -> impl Iterator<Item = usize> {
+        (0..self.layers).filter_map(move |layer| self.slot_in(index, layer))
+    }
+
+    /// Slot of a memory index that holds material: of several layers the one with the most.
+    #[inline(always)]
+    pub(crate) fn slot_of_index(&self, index: usize) -> Option<usize> {
+        if self.layers == 1 {
+            return self.slot_in(index, 0);
+        }
+        self.slots_of(index).reduce(|a, b| if self.part[b] > self.part[a] { b } else { a })
+    }
+
+    /// True for the slot that stands for its node where the node has to have one temperature.
+    #[inline(always)]
+    pub(crate) fn leads(&self, slot: usize) -> bool {
+        self.layers == 1 || self.slot_of_index(self.dense[slot] as usize) == Some(slot)
+    }
+
+    /// Slots of a grid node and their parts of what fills it.
+    pub(crate) fn parts(&self, node: [usize; 3]) -> impl Iterator<Item = (usize, f64)> {
+        self.slots_of(self.index(node)).map(|s| (s, self.part[s]))
+    }
+
+    /// Filled fraction of a grid node.
+    pub(crate) fn phi_at(&self, node: [usize; 3]) -> f64 {
+        self.slots_of(self.index(node)).next().map_or(0.0, |s| self.phi[s])
+    }
+
+    /// Part of `layer` in a grid node; `None` for a node without material.
+    pub(crate) fn part_at(&self, node: [usize; 3], layer: usize) -> Option<f64> {
+        let index = self.index(node);
+        self.slots_of(index).next()?;
+        Some(self.slot_in(index, layer).map_or(0.0, |s| self.part[s]))
+    }
+
+    /// Mass of all layers in the node of a slot \[kg\].
+    pub(crate) fn node_mass(&self, slot: usize) -> f64 {
+        if self.layers == 1 {
+            return self.mass[slot];
+        }
+        self.slots_of(self.dense[slot] as usize).map(|s| self.mass[s]).sum()
+    }
+
+    /// Filled fraction of a node that is the slot's own.
+    #[inline(always)]
+    pub(crate) fn filled(&self, slot: usize) -> f64 {
+        self.phi[slot] * self.part[slot]
+    }
+
+    /// Empties the network; the grid has `nodes` nodes, each with `layers` layers.
+    pub(crate) fn clear(&mut self, nodes: [usize; 3], layers: usize) {
+        for &i in &self.places {
             self.slot[i as usize] = ABSENT;
         }
         self.nodes = nodes;
-        self.slot.resize(nodes.iter().product(), ABSENT);
+        self.layers = layers;
+        self.slot.resize(nodes.iter().product::<usize>() * layers, ABSENT);
+        self.places.clear();
         self.dense.clear();
         self.kind.clear();
         self.mass.clear();
         self.phi.clear();
+        self.part.clear();
         self.e0.clear();
         self.walls.clear();
         self.rims.clear();
+        self.contacts.clear();
         self.air.clear();
         self.air_t.clear();
     }
 
-    /// Adds a node; call in ascending order of `index`.
+    /// Adds a layer of a node; call in ascending order of `place`. `phi` is filled by the layer alone until
+    /// `Network::divide`.
     #[inline(always)]
-    pub(crate) fn push(&mut self, index: usize, kind: Kind, mass: f64, phi: f64, energy: f64) {
-        self.slot[index] = self.dense.len() as u32;
-        self.dense.push(index as u32);
+    pub(crate) fn push(&mut self, place: usize, kind: Kind, mass: f64, phi: f64, energy: f64) {
+        self.slot[place] = self.dense.len() as u32;
+        self.places.push(place as u32);
+        self.dense.push((place / self.layers) as u32);
         self.kind.push(kind);
         self.mass.push(mass);
         self.phi.push(phi);
+        self.part.push(1.0);
         self.e0.push(energy);
+    }
+
+    /// After the last node: gives the layers of a node its filled fraction, and their parts of it.
+    pub(crate) fn divide(&mut self) {
+        if self.layers == 1 {
+            return;
+        }
+        for node in self.dense.chunk_by(|a, b| a == b).scan(0, |end, node| {
+            *end += node.len();
+            Some(*end - node.len()..*end)
+        }) {
+            let total: f64 = self.phi[node.clone()].iter().sum();
+            for s in node {
+                (self.part[s], self.phi[s]) = (self.phi[s] / total, total);
+            }
+        }
     }
 
     /// Temperatures, capacities and conductivities from the energies, then the links.
@@ -364,6 +453,7 @@ impl Network {
         spacing: f64,
         walls: Option<&[Wall]>,
         solids: &Solids,
+        layers: &Layers,
     ) {
         let n = self.len();
         self.e.clear();
@@ -403,6 +493,11 @@ impl Network {
             }
         });
         (self.links, self.neighbours) = (links, neighbours);
+        if self.layers > 1 {
+            let mut contacts = std::mem::take(&mut self.contacts);
+            contact::collect(self, lattice, layers, spacing, &mut contacts);
+            self.contacts = contacts;
+        }
         if let Some(walls) = walls {
             self.join_walls(lattice, spacing, walls, solids);
         }
@@ -444,7 +539,7 @@ impl Network {
     #[inline(always)]
     fn link(&self, lattice: &Lattice, spacing: f64, walls: Option<&[Wall]>, s: usize, l: usize) -> Option<(u32, f64)> {
         let other = self.index(lattice.neighbour(self.node(s), l / 2, l % 2 == 1)?);
-        let o = self.slot_of_index(other)?;
+        let o = self.slot_in(other, self.layer(s))?;
         if let Some(walls) = walls
             && (walls[other].bath().is_some() || walls[self.dense[s] as usize].bath().is_some())
         {
@@ -458,19 +553,25 @@ impl Network {
             // what the filled cross-section does.
             let (a, b) = self.conductivities(&self.k_material, s, o);
             let touching = section(self.phi[s].min(self.phi[o])) * harmonic(a, b);
-            return Some((o as u32, spacing * harmonic(self.k[s], self.k[o]).max(touching)));
+            return Some((o as u32, spacing * self.own(s, o) * harmonic(self.k[s], self.k[o]).max(touching)));
         }
         // Harmonic mean over the filled cross-section: nodes at the rim neither insulate nor become stiff.
         let (a, b) = self.conductivities(&self.k, s, o);
         let filled = section(self.phi[s].min(self.phi[o]));
-        Some((o as u32, spacing * filled * harmonic(a, b)))
+        Some((o as u32, spacing * self.own(s, o) * filled * harmonic(a, b)))
+    }
+
+    /// Share of the link between two slots of a layer that is this layer's.
+    #[inline(always)]
+    fn own(&self, s: usize, o: usize) -> f64 {
+        if self.layers == 1 { 1.0 } else { contact::share(self.part[s], self.part[o]) }
     }
 
     /// Collects the nodes inside walls that give and take heat, and the links to such walls, half a cell away.
     fn join_walls(&mut self, lattice: &Lattice, spacing: f64, walls: &[Wall], solids: &Solids) {
         for s in 0..self.len() {
             if let Some(bath) = walls[self.dense[s] as usize].bath() {
-                let conductance = RIM * self.k[s] * spacing * self.phi[s].min(1.0);
+                let conductance = RIM * self.k[s] * spacing * self.phi[s].min(1.0) * self.part[s];
                 self.rims.push(Rim { slot: s as u32, conductance, bath });
                 continue;
             }
@@ -478,7 +579,7 @@ impl Network {
             for l in 0..6 {
                 let Some(n) = lattice.neighbour(node, l / 2, l % 2 == 1) else { continue };
                 if let Some(bath) = walls[self.index(n)].bath() {
-                    let filled = (self.phi[s] / FULL_AT_WALL).min(1.0);
+                    let filled = (self.phi[s] / FULL_AT_WALL).min(1.0) * self.part[s];
                     let near = 2.0 * self.k[s] * spacing * filled;
                     let conductance = match bath {
                         Bath::Fixed(_) => near,
@@ -532,7 +633,7 @@ impl Network {
     /// Moves heat along all links for `dt` seconds; returns the heat \[J\] that came in from walls of fixed temperature and
     /// from conducting obstacles.
     pub(crate) fn conduct(&mut self, dt: f64, solids: &mut Solids) -> [f64; 2] {
-        let Self { e, t, links, neighbours, walls, rims, capacity, .. } = self;
+        let Self { e, t, links, neighbours, walls, rims, contacts, capacity, .. } = self;
         let mut heat = [0.0; 2];
         let mut book = |bath: Bath, q: f64, solids: &mut Solids| match bath {
             Bath::Fixed(_) => heat[0] += q,
@@ -558,6 +659,11 @@ impl Network {
             }
             *e += dt * q;
         });
+        for c in contacts.iter() {
+            let q = c.heat(dt, t, capacity);
+            e[c.slots[0] as usize] += q;
+            e[c.slots[1] as usize] -= q;
+        }
         for r in rims.iter() {
             let s = r.slot as usize;
             // Semi-implicit: stable for any step.

@@ -9,6 +9,7 @@ use crate::material::Material;
 use crate::source::surface::SurfaceMeasure;
 use crate::source::terms::{Context, Terms};
 use crate::source::{Film, HeatSource, SourceReport};
+use crate::thermal::contact::Layers;
 use crate::thermal::network::{Around, Composition, Kind, Medium, Network};
 use crate::thermal::solids::Solids;
 use crate::thermal::transfer::{CHUNK, Lattice as Stencils, Slabs, fixed_sum};
@@ -49,14 +50,15 @@ pub struct ThermalSolver {
     surface: SurfaceMeasure,
     terms: Terms,
     solids: Solids,
-    /// Per node: energy, mass, volume, relaxation.
+    layers: Layers,
+    /// Per node and layer: energy, mass, volume, relaxation.
     nodes: Vec<[f64; 4]>,
-    /// Per node, only where needed: mass by material used, then by body named in a source.
+    /// The same, only where needed: mass by material used, then by body named in a source.
     channels: Vec<f64>,
     stride: usize,
     bodies: Vec<u16>,
     single_body: Option<u16>,
-    /// Per node: what the points gather, and the temperature.
+    /// The same: what the points gather, and the temperature.
     field: Vec<[f64; 2]>,
     /// Per point: sub-grid relaxation \[J/kg\].
     relax: Vec<f64>,
@@ -85,6 +87,7 @@ impl ThermalSolver {
             surface: SurfaceMeasure::default(),
             terms: Terms::default(),
             solids: Solids::default(),
+            layers: Layers::default(),
             nodes: vec![[0.0; 4]; grid.len()],
             channels: Vec::new(),
             stride: 0,
@@ -116,6 +119,17 @@ impl ThermalSolver {
         &mut self.solids
     }
 
+    /// Gives body `object` a resistance to heat of its side of every contact with another \[m²K/W\], ≥ 0; that of a contact is the
+    /// sum of both sides. Bodies without exchange heat as one.
+    pub fn set_contact_resistance(&mut self, object: u16, resistance: f64) {
+        self.forget();
+        self.network.clear(self.grid.nodes, 1);
+        self.layers.set(object, resistance);
+        self.nodes.resize(self.grid.len() * self.layers.count(), [0.0; 4]);
+        self.field.resize(self.grid.len() * self.layers.count(), [0.0; 2]);
+        self.stride = 0;
+    }
+
     /// Tells the simulated air how fast the points move \[m/s\], in their order, before a step.
     pub fn set_velocities(&mut self, velocity: impl Iterator<Item = [f32; 3]>) {
         self.point_velocity.clear();
@@ -142,7 +156,8 @@ impl ThermalSolver {
         self.room.as_ref().map_or_else(Vec::new, |r| r.save())
     }
 
-    /// Continues from [`ThermalSolver::save_air`] with coupling steps of `dt` seconds; false if it does not fit.
+    /// Continues from `ThermalSolver::save_air`; false if it does not fit. Without a state the air starts with coupling steps of `dt`
+    /// seconds.
     pub(crate) fn restore_air(&mut self, state: &[f32], dt: f64) -> bool {
         self.room = None;
         let AirModel::Simulated(settings) = self.options.air else { return state.is_empty() };
@@ -194,7 +209,7 @@ impl ThermalSolver {
     /// Temperature \[K\] of the material at grid coordinate `xi` after the last step, from the nodes that hold material;
     /// `None` where these carry less than a quarter of the weight.
     pub fn sample(&self, xi: [f64; 3]) -> Option<f64> {
-        self.ghost(xi, |slot| self.network.t[slot])
+        self.ghost(xi, |n| self.network.slot_of_index(n), |slot| self.network.t[slot])
     }
 
     /// What each source of the last step did, in their order; one more for the film of the air model.
@@ -223,7 +238,7 @@ impl ThermalSolver {
         self.scatter_channels(points, sources);
         self.collect();
         let laps = self.place_air(points, dt, walls)?;
-        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls, &self.solids);
+        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls, &self.solids, &self.layers);
         if let (Some(room), Some(_)) = (&mut self.room, self.network.around) {
             room.start(&self.network);
         }
@@ -260,7 +275,7 @@ impl ThermalSolver {
         }
         self.forget();
         self.network.around = None;
-        self.network.clear(self.grid.nodes);
+        self.network.clear(self.grid.nodes, 1);
         self.slabs.touched = self.grid.nodes.map(|n| [0, n]);
         let cell = self.grid.spacing.powi(3);
         for i in 0..n {
@@ -269,7 +284,7 @@ impl ThermalSolver {
             }
         }
         self.single_body = Some(0);
-        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls, &self.solids);
+        self.network.prepare(&self.media, &self.mix, &self.lattice, self.grid.spacing, walls, &self.solids, &self.layers);
         let subcycles = self.subcycles(dt)?;
         let before = self.network.e.iter().sum();
         let stored = self.solids.energy();
@@ -306,8 +321,8 @@ impl ThermalSolver {
 
     /// Clears the accumulators of the nodes that the last step touched.
     fn forget(&mut self) {
-        for &i in &self.network.dense {
-            let i = i as usize;
+        for slot in 0..self.network.len() {
+            let i = self.network.place(slot);
             self.nodes[i] = [0.0; 4];
             if self.stride > 0 {
                 self.channels[i * self.stride..(i + 1) * self.stride].fill(0.0);
@@ -316,9 +331,10 @@ impl ThermalSolver {
     }
 
     fn scatter(&mut self, points: &ThermalPoints) {
-        let Self { nodes, slabs, lattice, media, grid, options, .. } = self;
+        let Self { nodes, slabs, lattice, layers, media, grid, options, .. } = self;
         let affine = options.transfer != Transfer::PicOverwrite;
-        slabs.scatter(lattice, nodes, 1, |part, first, p| {
+        let count = layers.count();
+        slabs.scatter(lattice, nodes, count, |part, first, p| {
             let m = f64::from(points.mass[p]);
             let v = f64::from(points.volume[p]);
             let h = points.h[p];
@@ -326,7 +342,7 @@ impl ThermalSolver {
             let slope = if affine { m * media[points.material[p] as usize].curve.heat_capacity(h) * grid.spacing } else { 0.0 };
             let e = m * h;
             let g = points.grad_t[p].map(|g| slope * f64::from(g));
-            lattice.stencil(points.xi[p]).visit(first, |n, w, d| {
+            lattice.stencil(points.xi[p]).in_layer(count, layers.of(points.object[p])).visit(first * count, |n, w, d| {
                 let mut add = [0.0; 4];
                 add[ENERGY] = e + g[0] * d[0] + g[1] * d[1] + g[2] * d[2];
                 add[MASS] = m;
@@ -350,18 +366,19 @@ impl ThermalSolver {
         let stride = materials + self.bodies.len();
         if stride != self.stride {
             self.channels.clear();
-            self.channels.resize(stride * self.grid.len(), 0.0);
+            self.channels.resize(stride * self.nodes.len(), 0.0);
             self.stride = stride;
         }
         if stride == 0 {
             return;
         }
-        let Self { channels, slabs, lattice, mix, bodies, .. } = self;
-        slabs.scatter(lattice, channels, stride, |part, first, p| {
+        let Self { channels, slabs, lattice, layers, mix, bodies, .. } = self;
+        let count = layers.count();
+        slabs.scatter(lattice, channels, stride * count, |part, first, p| {
             let m = f64::from(points.mass[p]);
             let material = if materials > 0 { mix.used.binary_search(&points.material[p]).ok() } else { None };
             let body = bodies.binary_search(&points.object[p]).ok();
-            lattice.stencil(points.xi[p]).visit(first, |n, w, _| {
+            lattice.stencil(points.xi[p]).in_layer(count, layers.of(points.object[p])).visit(first * count, |n, w, _| {
                 for c in material.into_iter().chain(body.map(|b| materials + b)) {
                     part[n * stride + c] += w * m;
                 }
@@ -371,15 +388,16 @@ impl ThermalSolver {
 
     /// Fills the network from the accumulators.
     fn collect(&mut self) {
-        let Self { network, slabs, grid, nodes, mix, channels, stride, .. } = self;
-        network.clear(grid.nodes);
+        let Self { network, slabs, grid, nodes, layers, mix, channels, stride, .. } = self;
+        let layers = layers.count();
+        network.clear(grid.nodes, layers);
         let cell = grid.spacing.powi(3);
         let [x, y, z] = slabs.touched;
         let count = mix.used.len();
         for i in x[0]..x[1] {
             for j in y[0]..y[1] {
                 let row = grid.index(i, j, 0);
-                for n in row + z[0]..row + z[1] {
+                for n in (row + z[0]) * layers..(row + z[1]) * layers {
                     let a = nodes[n];
                     if a[MASS] > 0.0 {
                         let kind = if count == 1 {
@@ -399,6 +417,7 @@ impl ThermalSolver {
                 }
             }
         }
+        network.divide();
     }
 
     /// Roles of the nodes of the simulated air and its share of the material's nodes; returns the lattice steps to come.
@@ -423,10 +442,9 @@ impl ThermalSolver {
             });
         }
         let room = self.room.get_or_insert_with(|| Box::new(Room::new(settings, &self.grid, dt, self.t_ref)));
-        if !room.fits(dt) {
-            return Err(ThermalError::Input(format!("the air was set up for another coupling step than {dt} s")));
-        }
-        let (momentum, dense, mass) = (&self.momentum, self.network.dense.clone(), self.network.mass.clone());
+        room.set_interval(dt);
+        let mass: Vec<f64> = (0..self.network.len()).map(|s| self.network.node_mass(s)).collect();
+        let (momentum, dense) = (&self.momentum, self.network.dense.clone());
         room.take_places(&mut self.network, walls, |s| match momentum.get(dense[s] as usize) {
             Some(m) => m.map(|v| v / mass[s] as f32),
             None => [0.0; 3],
@@ -441,15 +459,16 @@ impl ThermalSolver {
 
     /// Sub-grid relaxation: how far each point moves towards the temperature of its nodes, and the sums of that per node.
     fn relax_points(&mut self, points: &ThermalPoints, relaxation: f64, dt: f64) {
-        let Self { relax, field, network, lattice, media, mix, nodes, slabs, grid, .. } = self;
+        let Self { relax, field, network, lattice, layers, media, mix, nodes, slabs, grid, .. } = self;
         relax.clear();
         relax.resize(points.xi.len(), 0.0);
         if relaxation <= 0.0 {
             return;
         }
-        for (s, i) in network.dense.iter().enumerate() {
-            field[*i as usize] = [0.0, network.own_temperature(media, mix, s)];
+        for s in 0..network.len() {
+            field[network.place(s)] = [0.0, network.own_temperature(media, mix, s)];
         }
+        let count = layers.count();
         let rate = relaxation * dt / (grid.spacing * grid.spacing);
         relax.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
             for (o, delta) in chunk.iter_mut().enumerate() {
@@ -460,14 +479,18 @@ impl ThermalSolver {
                     let capacity = medium.curve.heat_capacity(h);
                     let k = medium.conductivity(medium.curve.liquid_fraction(h), medium.curve.temperature(h));
                     let zeta = -(-rate * k / (medium.density * capacity)).exp_m1();
-                    let around = lattice.stencil(points.xi[p]).gather(field).value[1];
+                    let stencil = lattice.stencil(points.xi[p]).in_layer(count, layers.of(points.object[p]));
+                    let around = stencil.gather(field).value[1];
                     *delta = -zeta * capacity * (medium.curve.temperature(h) - around);
                 }
             }
         });
-        slabs.scatter(lattice, nodes, 1, |part, first, p| {
+        slabs.scatter(lattice, nodes, count, |part, first, p| {
             let q = f64::from(points.mass[p]) * relax[p];
-            lattice.stencil(points.xi[p]).visit(first, |n, w, _| part[n][RELAX] += w * q);
+            lattice
+                .stencil(points.xi[p])
+                .in_layer(count, layers.of(points.object[p]))
+                .visit(first * count, |n, w, _| part[n][RELAX] += w * q);
         });
     }
 
@@ -492,7 +515,7 @@ impl ThermalSolver {
             let share = |id: u16, slot: usize| match (*single_body, bodies.binary_search(&id)) {
                 (Some(only), _) => f64::from(u8::from(only == id)),
                 (None, Ok(b)) => {
-                    let n = network.dense[slot] as usize;
+                    let n = network.place(slot);
                     channels[(n + 1) * *stride - bodies.len() + b] / nodes[n][MASS]
                 }
                 (None, Err(_)) => 0.0,
@@ -531,19 +554,19 @@ impl ThermalSolver {
     /// the other heat, points that are held already would get as much as those next to them that are not and keep the node cold,
     /// step after step, and end far hotter than the source (in examples/dropped.toml at 12 cells by more than 4 K).
     fn hold_points(&mut self, points: &ThermalPoints) {
-        let Self { network, field, media, mix, terms, relax, lattice, grid, .. } = self;
+        let Self { network, field, media, mix, terms, relax, lattice, layers, grid, .. } = self;
         let kelvin = terms.held.kelvin;
         for (s, heat) in terms.held.heat.iter_mut().enumerate() {
             let missing = network.energy_at(media, mix, s, kelvin) - network.start_energy(s);
             let share = if *heat * missing > 0.0 { (*heat / missing).min(1.0) } else { 0.0 };
-            field[network.dense[s] as usize] = [0.0, share];
+            field[network.place(s)] = [0.0, share];
             *heat = share * (mix.energy(media, network.kind[s], network.mass[s], kelvin) - network.e0[s]);
         }
         relax.par_chunks_mut(CHUNK).enumerate().for_each(|(c, chunk)| {
             for (o, delta) in chunk.iter_mut().enumerate() {
                 let p = c * CHUNK + o;
                 if points.mass[p] > 0.0 && finite(points.xi[p]) {
-                    let got = lattice.stencil(points.xi[p]).gather(field);
+                    let got = lattice.stencil(points.xi[p]).in_layer(layers.count(), layers.of(points.object[p])).gather(field);
                     let curve = &media[points.material[p] as usize].curve;
                     let h = points.h[p];
                     // The point as the nodes saw it, with its gradient.
@@ -564,7 +587,7 @@ impl ThermalSolver {
         }
         let Self { network, nodes, field, terms, .. } = self;
         for s in 0..network.len() {
-            let n = network.dense[s] as usize;
+            let n = network.place(s);
             let e = network.material_energy(s);
             let held = terms.held.heat.get(s).copied().unwrap_or(0.0);
             let gain = if overwrite { e } else { e - network.e0[s] - nodes[n][RELAX] - held };
@@ -573,6 +596,7 @@ impl ThermalSolver {
         let this = &*self;
         let slope = if options_gradient(this.options.transfer) { 4.0 / this.grid.spacing } else { 0.0 };
         let (xi, mass, material) = (points.xi, points.mass, points.material);
+        let layer = |p: usize| this.layers.of(points.object[p]);
         points.h.par_chunks_mut(CHUNK).zip(points.grad_t.par_chunks_mut(CHUNK)).enumerate().for_each(|(c, (h, grad))| {
             for (o, (h, grad)) in h.iter_mut().zip(grad.iter_mut()).enumerate() {
                 let p = c * CHUNK + o;
@@ -580,39 +604,39 @@ impl ThermalSolver {
                     continue;
                 }
                 if mass[p] > 0.0 {
-                    let got = this.lattice.stencil(xi[p]).gather(&this.field);
+                    let got = this.lattice.stencil(xi[p]).in_layer(this.layers.count(), layer(p)).gather(&this.field);
                     *h = if overwrite { got.value[0] } else { *h + this.relax[p] + got.value[0] };
                     *grad = got.moment.map(|m| (slope * m) as f32);
                 } else {
-                    this.listen(xi[p], material[p], h);
+                    this.listen(xi[p], material[p], layer(p), h);
                 }
             }
         });
     }
 
-    /// Gives a tracer the state of the material around it.
-    fn listen(&self, xi: [f64; 3], material: u8, h: &mut f64) {
+    /// Gives a tracer the state of the material of its layer around it.
+    fn listen(&self, xi: [f64; 3], material: u8, layer: usize, h: &mut f64) {
         let network = &self.network;
         // With one material the enthalpy itself is interpolated, so that tracers know how far melting has come.
         let one = self.mix.used.as_slice() == [material];
         let value = if one {
-            self.ghost(xi, |s| network.material_energy(s) / network.mass[s])
+            self.ghost(xi, |n| network.slot_in(n, layer), |s| network.material_energy(s) / network.mass[s])
         } else {
-            self.ghost(xi, |s| network.t[s]).map(|t| self.enthalpy(material, t))
+            self.ghost(xi, |n| network.slot_in(n, layer), |s| network.t[s]).map(|t| self.enthalpy(material, t))
         };
         if let Some(value) = value {
             *h = value;
         }
     }
 
-    /// Weighted mean over the material nodes of a stencil.
-    fn ghost(&self, xi: [f64; 3], value: impl Fn(usize) -> f64) -> Option<f64> {
+    /// Weighted mean over the material nodes of a stencil; `slot_of(node)` is what holds material.
+    fn ghost(&self, xi: [f64; 3], slot_of: impl Fn(usize) -> Option<usize>, value: impl Fn(usize) -> f64) -> Option<f64> {
         if self.network.len() == 0 || !finite(xi) {
             return None;
         }
         let (mut sum, mut weight) = (0.0, 0.0);
         self.lattice.stencil(xi).visit(0, |n, w, _| {
-            if let Some(s) = self.network.slot_of_index(n) {
+            if let Some(s) = slot_of(n) {
                 sum += w * value(s);
                 weight += w;
             }
@@ -637,6 +661,7 @@ impl ThermalSolver {
             solid,
             open: air.open,
             displaced: air.displaced,
+            escaped: 0.0,
             air: air.after,
             capped: air.capped,
             residual: after - before - (source + dirichlet + film + wall + solid + air.open + air.displaced) + stored + solid,

@@ -98,6 +98,16 @@ impl Lattice {
 }
 
 impl Stencil {
+    /// The same nodes in an array that holds `layers` values per node, of which `layer` is meant.
+    #[inline(always)]
+    pub(crate) fn in_layer(mut self, layers: usize, layer: usize) -> Self {
+        if layers > 1 {
+            self.rows = self.rows.map(|r| r * layers + layer);
+            self.z = self.z.map(|z| z * layers);
+        }
+        self
+    }
+
     /// Visits the 27 nodes: `(memory index relative to first, weight, offset in node spacings)`.
     #[inline(always)]
     pub(crate) fn visit(&self, first: usize, mut f: impl FnMut(usize, f64, [f64; 3])) {

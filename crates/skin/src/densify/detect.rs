@@ -128,7 +128,8 @@ pub(crate) fn near_outside(all: &[&[Vec3<f32>]], ask: &[Vec3<f32>], cell: f32, d
     }
     let pad = depth as f32 + 1.0;
     let size = [0, 1, 2].map(|a| ((hi[a] - lo[a]) / cell + 2.0 * pad + 1.0) as f64);
-    if !(size[0] * size[1] * size[2] < 3e7 && cell > 0.0) {
+    // Without points, all of which may have left, the box is less than nothing.
+    if !(size[0] * size[1] * size[2] < 3e7 && size[0] > 0.0 && cell > 0.0) {
         return vec![true; ask.len()];
     }
     let size = size.map(|v| v as usize);
@@ -151,4 +152,15 @@ pub(crate) fn near_outside(all: &[&[Vec3<f32>]], ask: &[Vec3<f32>], cell: f32, d
         }
     }
     ask.iter().map(|p| open[index(p)]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_has_no_outside() {
+        assert_eq!(near_outside(&[&[], &[]], &[], 0.1, 2), Vec::<bool>::new());
+        assert_eq!(near_outside(&[&[[0.0; 3]]], &[[0.0; 3]], 0.1, 2), [true]);
+    }
 }
