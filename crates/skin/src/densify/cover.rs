@@ -26,18 +26,20 @@ pub(crate) struct Growth {
     pub kappa: f32,
     /// θ: growth begins where neighbours stand √θ/κ standard deviations apart.
     pub onset: f32,
+    /// Sectors in which neighbours must be found.
+    pub sectors: usize,
 }
 
 /// Gaussians of the surface: from 2.6 standard deviations on. Fresh models have neighbours two and less apart.
-pub(crate) const SURFACE: Growth = Growth { kappa: 0.45, onset: 1.4 };
-/// Kernels: behind them is nothing that could be spoiled.
-pub(crate) const KERNELS: Growth = Growth { kappa: 0.6, onset: 1.4 };
+/// Fewer sectors than three belong to a drop or a thread.
+pub(crate) const SURFACE: Growth = Growth { kappa: 0.45, onset: 1.4, sectors: 3 };
+/// Kernels: behind them is nothing that could be spoiled. In a crack they have neighbours all around; those beside an outline would stick
+/// out over it.
+pub(crate) const KERNELS: Growth = Growth { kappa: 0.6, onset: 1.4, sectors: 5 };
 /// Largest standard deviation that growth gives, in particle spacings Δ.
 const MOST: f32 = 1.0;
 /// Farthest neighbour, in largest standard deviations.
 const REACH: f32 = 2.0;
-/// Sectors in which neighbours must be found; fewer belong to a drop or a thread.
-const LEAST_SECTORS: usize = 3;
 /// Farthest neighbour that counts, in distances to the nearest: one seen along an edge is none to meet.
 const WIDEST: f32 = 4.0;
 /// Rise of a neighbour over the plane, per distance in it, up to which it is of the same sheet.
@@ -59,7 +61,7 @@ pub(crate) fn measure(
     delta: f32,
     state: &mut Vec<[f32; 6]>,
     rim: &mut Vec<Vec3<f32>>,
-    kappa: f32,
+    growth: Growth,
     smooth: bool,
 ) {
     let n = surface.len();
@@ -74,7 +76,7 @@ pub(crate) fn measure(
     let rows = Rows::new(&surface.mean, 0.5 * reach);
     state.par_iter_mut().zip(rim.par_iter_mut()).with_min_len(256).enumerate().filter(|(i, _)| asked[*i]).for_each(|(i, (kept, rim))| {
         let mine = |j: usize| present(j) && object[j] == object[i] && j != i;
-        let (fresh, edge) = tensor(&rows, surface.mean[i], normals[i], reach, kappa, mine, normals);
+        let (fresh, edge) = tensor(&rows, surface.mean[i], normals[i], reach, growth, mine, normals);
         let first = !smooth || kept[0] + kept[3] + kept[5] == 0.0;
         let share = if first { 1.0 } else { NEW };
         for (k, f) in kept.iter_mut().zip(fresh) {
@@ -92,7 +94,7 @@ fn tensor(
     x: Vec3<f32>,
     normal: Vec3<f32>,
     reach: f32,
-    kappa: f32,
+    growth: Growth,
     mine: impl Fn(usize) -> bool,
     normals: &[Vec3<f32>],
 ) -> ([f32; 6], [f32; 3]) {
@@ -127,7 +129,7 @@ fn tensor(
         radius = reach;
     }
     let found: Vec<f32> = least.iter().copied().filter(|v| v.is_finite()).collect();
-    if found.len() < LEAST_SECTORS {
+    if found.len() < growth.sectors {
         return ([0.0; 6], [0.0; 3]);
     }
     // Beyond an edge there is nothing to meet: as far as on the other sides, no farther.
@@ -140,7 +142,7 @@ fn tensor(
         c[1] += d2 * o * s;
         c[2] += d2 * s * s;
     }
-    let f = kappa * kappa * 2.0 / SECTORS as f32;
+    let f = growth.kappa * growth.kappa * 2.0 / SECTORS as f32;
     let most = (reach / REACH) * (reach / REACH);
     let [a, b, d] = limit(c.map(|v| f * v), |v| v.clamp(0.0, most));
     let distance = (found.iter().sum::<f32>() / found.len() as f32).sqrt();
@@ -225,7 +227,7 @@ mod tests {
     fn grown(dx: f32, dy: f32, object: &[u16]) -> (Gaussians, Gaussians) {
         let (before, normals) = sheet(dx, dy);
         let (mut g, mut state, mut rim) = (before.clone(), Vec::new(), Vec::new());
-        measure(&g, &normals, object, |_| true, 0.3, &mut state, &mut rim, SURFACE.kappa, true);
+        measure(&g, &normals, object, |_| true, 0.3, &mut state, &mut rim, SURFACE, true);
         grow(&mut g, &normals, &state, SURFACE.onset);
         (before, g)
     }

@@ -222,7 +222,7 @@ impl Densifier {
         let wanted = |i: usize| if grown(i) { (i + turn).is_multiple_of(2) } else { phase.get(i).is_some_and(|p| *p != 0) };
         let wanted: Vec<bool> = (0..surface.len()).map(wanted).collect();
         let (object, delta) = (&self.anatomy.surface_object, self.anatomy.spacing);
-        cover::measure(surface, &self.normals, object, |i| wanted[i], delta, state, rim, cover::SURFACE.kappa, self.settings.hysteresis);
+        cover::measure(surface, &self.normals, object, |i| wanted[i], delta, state, rim, cover::SURFACE, self.settings.hysteresis);
         let grown = cover::grow(surface, &self.normals, state, cover::SURFACE.onset);
         rim::trim(surface, rim);
         grown
@@ -505,7 +505,7 @@ impl Densifier {
         let mut rim: Vec<[f32; 3]> = who().map(|k| self.state.kernel_rim[k]).collect();
         let (kernels, normals) = (self.drawn.len(), set.normal.clone());
         let (growth, smooth) = (cover::KERNELS, self.settings.hysteresis);
-        cover::measure(&set, &normals, &object, |k| k < kernels, self.anatomy.spacing, &mut cover, &mut rim, growth.kappa, smooth);
+        cover::measure(&set, &normals, &object, |k| k < kernels, self.anatomy.spacing, &mut cover, &mut rim, growth, smooth);
         for (n, k) in who().enumerate() {
             (self.state.kernel_cover[k], self.state.kernel_rim[k]) = (cover[n], rim[n]);
         }
