@@ -40,7 +40,7 @@ fn wrong_types_and_ranges_say_what_is_allowed() {
     only("seed = 'x'", "s.toml:2:1: seed = 'x': expected a whole number, 0 to 9.007199254740991e15");
     only("[fill]\ndirections = 8", "s.toml:3:1: fill.directions = 8: allowed: 6, 14");
     only("[[object]]\ncontact_resistance_m2k_w = 11", "s.toml:3:1: object.contact_resistance_m2k_w = 11: out of range; allowed: 0 to 10");
-    only("[simulation]\nbounds = \"open\"", "s.toml:3:1: simulation.bounds = \"open\": allowed: clamp, delete");
+    only("[simulation]\nbounds = \"open\"", "s.toml:3:1: simulation.bounds = \"open\": allowed: \"clamp\", \"delete\"");
     only("[fill]\ntau_alpha = 1.5", "s.toml:3:1: fill.tau_alpha = 1.5: out of range; allowed: 0 to 1, or \"auto\"");
     only(
         "[air]\nfilm_coefficient_w_m2k = \"aut\"",
