@@ -100,9 +100,9 @@ pub struct DensifyState {
     pub cover: Vec<[f32; 6]>,
     /// Where it ends: out over the edge, as long as that is certain.
     pub rim: Vec<[f32; 3]>,
-    /// The same of the particles that are drawn.
+    /// What the kernels of the particles grow to; zero where none is drawn.
     pub kernel_cover: Vec<[f32; 6]>,
-    /// The same of the particles that are drawn.
+    /// Their rims.
     pub kernel_rim: Vec<[f32; 3]>,
 }
 
@@ -544,8 +544,8 @@ impl Densifier {
     }
 
     /// Normal of the implicit surface at Gaussian `i` of the `surface` that the last frame had. Zero where it is not part of that surface
-    /// (buried, or more than a spacing away from it), and where the Gaussian lies in it well enough by its own normal, which is most often
-    /// so and costs a hundredth.
+    /// (buried, or more than a spacing away from it), and where the Gaussian lies in it well enough by its own normal, which costs little
+    /// to see.
     pub fn surface_normal_of_field(&self, i: usize, surface: &Gaussians) -> Vec3<f32> {
         let Some(f) = self.field(self.anatomy.surface_object[i]).filter(|_| self.is_visible(i)) else { return [0.0; 3] };
         if is_axis_within(mat3::cast(unpack_covariance(surface.covariance[i])), self.normals[i], SIN2_LIES_WELL) {
