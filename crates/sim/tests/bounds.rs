@@ -1,6 +1,10 @@
 //! Matter that leaves the box.
 
-use megas_model::{FLAG_ESCAPED, FLAG_INTERNAL, Points};
+#[path = "common/block.rs"]
+mod block;
+
+use block::block;
+use megas_model::{FLAG_ESCAPED, Points};
 use megas_sim::collider::{Collider, Mode, Shape};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Material, Rheology};
@@ -31,19 +35,7 @@ fn melt() -> Material {
 
 /// A pool at the left of a table that ends in the middle of the box, and its solver; it runs to the right, over the edge and down.
 fn stream(bounds: Bounds) -> (SolverConfig, Points) {
-    let mut points = Points::default();
-    for i in 0..16usize.pow(3) {
-        let site = [i / 256, i / 16 % 16, i % 16];
-        let low = [6.0, 6.0, 11.0];
-        points.position.push(std::array::from_fn(|a| (low[a] + 0.5 * (site[a] as f64 + 0.5)) * DX));
-        points.volume.push((DX / 2.0).powi(3) as f32);
-        points.temperature.push(340.0);
-        points.normal.push([0.0; 3]);
-        points.material.push(0);
-        points.object.push(1);
-        points.flags.push(FLAG_INTERNAL);
-        points.id.push(i as u32);
-    }
+    let points = block([6.0, 6.0, 11.0], [8; 3], DX, |_| (1, 340.0));
     let table = Collider { mode: Mode::Slip, ..Collider::new(Shape::aligned_box([-1.0, -1.0, -1.0], [20.0 * DX, 1.0, 10.5 * DX])) };
     let film = Film { ambient: 290.0, coefficient: 50.0, emissivity: 0.9 };
     let config = SolverConfig {

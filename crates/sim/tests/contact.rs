@@ -1,14 +1,20 @@
 //! Resistance to heat between bodies that touch.
 
+#[path = "common/block.rs"]
+mod block;
+#[path = "common/cloud.rs"]
+mod cloud;
+
+use block::block;
+use cloud::Cloud;
 use megas_math::rng::Rng;
-use megas_model::{FLAG_INTERNAL, Points};
 use megas_sim::collider::{Collider, Shape};
 use megas_sim::grid::Grid;
 use megas_sim::material::Material;
 use megas_sim::mechanics::Bounds;
 use megas_sim::phase::PhaseOptions;
 use megas_sim::solver::{Coupling, Solver, SolverConfig};
-use megas_sim::thermal::{Audit, ThermalOptions, ThermalPoints, ThermalSolver, Wall};
+use megas_sim::thermal::{ThermalOptions, ThermalSolver, Wall};
 
 const DX: f64 = 2e-3;
 
@@ -24,67 +30,39 @@ fn solid(conductivity: f64) -> Material {
     }
 }
 
-#[derive(Clone, Default)]
-struct Cloud {
-    xi: Vec<[f64; 3]>,
-    mass: Vec<f32>,
-    volume: Vec<f32>,
-    object: Vec<u16>,
-    material: Vec<u8>,
-    h: Vec<f64>,
-    grad_t: Vec<[f32; 3]>,
+/// Jittered points, eight per cell, in the box from `lo` of `cells`; `kind(ξ)` names body, material and temperature over 300 K.
+fn cloud(lo: [f64; 3], cells: [usize; 3], seed: u64, kind: impl Fn([f64; 3]) -> (u16, u8, f64)) -> Cloud {
+    let mut rng = Rng::new(seed);
+    let mut cloud = Cloud::default();
+    let [nx, ny, nz] = cells.map(|n| 2 * n);
+    for site in 0..nx * ny * nz {
+        let site = [site / nz / ny, site / nz % ny, site % nz];
+        let xi = std::array::from_fn(|a| lo[a] + 0.5 * (site[a] as f64 + 0.5 + rng.range(-0.25, 0.25)));
+        let (object, material, t) = kind(std::array::from_fn(|a| lo[a] + 0.5 * (site[a] as f64 + 0.5)));
+        let volume = DX.powi(3) / 8.0;
+        cloud.push(xi, (2000.0 * volume) as f32, volume as f32, material, object, 1000.0 * t);
+    }
+    cloud
 }
 
-impl Cloud {
-    /// Jittered points, eight per cell, in the box from `lo` of `cells`; `kind(ξ)` names body, material and temperature over 300 K.
-    fn new(lo: [f64; 3], cells: [usize; 3], seed: u64, kind: impl Fn([f64; 3]) -> (u16, u8, f64)) -> Self {
-        let mut rng = Rng::new(seed);
-        let mut cloud = Self::default();
-        let [nx, ny, nz] = cells.map(|n| 2 * n);
-        for site in 0..nx * ny * nz {
-            let site = [site / nz / ny, site / nz % ny, site % nz];
-            let xi = std::array::from_fn(|a| lo[a] + 0.5 * (site[a] as f64 + 0.5 + rng.range(-0.25, 0.25)));
-            let (object, material, t) = kind(std::array::from_fn(|a| lo[a] + 0.5 * (site[a] as f64 + 0.5)));
-            cloud.xi.push(xi);
-            cloud.mass.push((2000.0 * DX.powi(3) / 8.0) as f32);
-            cloud.volume.push((DX.powi(3) / 8.0) as f32);
-            cloud.object.push(object);
-            cloud.material.push(material);
-            cloud.h.push(1000.0 * t);
-            cloud.grad_t.push([0.0; 3]);
-        }
-        cloud
-    }
+fn step(cloud: &mut Cloud, solver: &mut ThermalSolver, dt: f64, walls: Option<&[Wall]>) {
+    let audit = cloud.step(solver, dt, &[], walls).expect("a step");
+    assert!(audit.closes(1e-9), "{audit:?}");
+}
 
-    fn step(&mut self, solver: &mut ThermalSolver, dt: f64, walls: Option<&[Wall]>) -> Audit {
-        let mut points = ThermalPoints {
-            xi: &self.xi,
-            mass: &self.mass,
-            volume: &self.volume,
-            material: &self.material,
-            object: &self.object,
-            h: &mut self.h,
-            grad_t: &mut self.grad_t,
-        };
-        let audit = solver.step(&mut points, dt, 0.0, &[], walls).expect("a step");
-        assert!(audit.closes(1e-9), "{audit:?}");
-        audit
-    }
+/// Mean temperature of a body over 300 K.
+fn mean(cloud: &Cloud, object: u16) -> f64 {
+    let own = || cloud.h.iter().zip(&cloud.object).filter(|(_, o)| **o == object);
+    own().map(|(h, _)| h / 1000.0).sum::<f64>() / own().count() as f64
+}
 
-    /// Mean temperature of a body over 300 K.
-    fn mean(&self, object: u16) -> f64 {
-        let own = || self.h.iter().zip(&self.object).filter(|(_, o)| **o == object);
-        own().map(|(h, _)| h / 1000.0).sum::<f64>() / own().count() as f64
-    }
-
-    /// Temperature at ξ = 0 and its slope per spacing, fitted to the points between `lo` and `hi` along x.
-    fn line(&self, lo: f64, hi: f64) -> [f64; 2] {
-        let inside = || self.xi.iter().zip(&self.h).filter(|(x, _)| x[0] > lo && x[0] < hi).map(|(x, h)| (x[0], h / 1000.0));
-        let n = inside().count() as f64;
-        let (x, t) = inside().fold((0.0, 0.0), |s, (x, t)| (s.0 + x / n, s.1 + t / n));
-        let (xx, xt) = inside().fold((0.0, 0.0), |s, (a, b)| (s.0 + (a - x).powi(2), s.1 + (a - x) * (b - t)));
-        [t - xt / xx * x, xt / xx]
-    }
+/// Temperature at ξ = 0 and its slope per spacing, fitted to the points between `lo` and `hi` along x.
+fn line(cloud: &Cloud, lo: f64, hi: f64) -> [f64; 2] {
+    let inside = || cloud.xi.iter().zip(&cloud.h).filter(|(x, _)| x[0] > lo && x[0] < hi).map(|(x, h)| (x[0], h / 1000.0));
+    let n = inside().count() as f64;
+    let (x, t) = inside().fold((0.0, 0.0), |s, (x, t)| (s.0 + x / n, s.1 + t / n));
+    let (xx, xt) = inside().fold((0.0, 0.0), |s, (a, b)| (s.0 + (a - x).powi(2), s.1 + (a - x) * (b - t)));
+    [t - xt / xx * x, xt / xx]
 }
 
 /// Resistance \[m²K/W\] of two touching slabs of conductivity `k` between walls 100 K apart, between the lines through their
@@ -104,7 +82,7 @@ fn steady(k: [f64; 2], resistance: f64, offset: f64) -> f64 {
     let lengths = [face - 2.5, 14.5 - face];
     let flux = 100.0 / (lengths[0] * DX / k[0] + resistance + lengths[1] * DX / k[1]);
     // A lattice of points for each slab, stretched to end at the face.
-    let mut cloud = Cloud::new([2.5, 0.0, 0.0], [12, 3, 3], 7, |x| (1 + u16::from(x[0] > 8.5), u8::from(x[0] > 8.5), 0.0));
+    let mut cloud = cloud([2.5, 0.0, 0.0], [12, 3, 3], 7, |x| (1 + u16::from(x[0] > 8.5), u8::from(x[0] > 8.5), 0.0));
     for i in 0..cloud.xi.len() {
         let side = usize::from(cloud.material[i]);
         let stretch = lengths[side] / 6.0;
@@ -117,9 +95,9 @@ fn steady(k: [f64; 2], resistance: f64, offset: f64) -> f64 {
     }
     let dt = 0.04 * DX * DX * 2e6 / k[0].max(k[1]);
     for _ in 0..2500 {
-        cloud.step(&mut solver, dt, Some(&walls));
+        step(&mut cloud, &mut solver, dt, Some(&walls));
     }
-    let (a, b) = (cloud.line(3.5, face - 1.0), cloud.line(face + 1.0, 13.5));
+    let (a, b) = (line(&cloud, 3.5, face - 1.0), line(&cloud, face + 1.0, 13.5));
     let q = 0.5 * (-k[0] * a[1] - k[1] * b[1]) / DX;
     ((a[0] + a[1] * face) - (b[0] + b[1] * face)) / q
 }
@@ -142,15 +120,15 @@ fn halves(normal: [f64; 3], resistance: f64) -> (Cloud, f64) {
     // One side may have more of it than the other.
     solver.set_contact_resistance(1, 0.25 * resistance);
     solver.set_contact_resistance(2, 0.75 * resistance);
-    let mut cloud = Cloud::new([3.7, 3.6, 3.4], [12; 3], 3, |x| {
+    let mut cloud = cloud([3.7, 3.6, 3.4], [12; 3], 3, |x| {
         let right = normal[0] * (x[0] - 9.7) + normal[1] * (x[1] - 9.6) + normal[2] * (x[2] - 9.4) > 0.0;
         (1 + u16::from(right), 0, if right { 0.0 } else { 100.0 })
     });
     let dt = 0.01;
     let difference: Vec<f64> = (0..40)
         .map(|_| {
-            cloud.step(&mut solver, dt, None);
-            cloud.mean(1) - cloud.mean(2)
+            step(&mut cloud, &mut solver, dt, None);
+            mean(&cloud, 1) - mean(&cloud, 2)
         })
         .collect();
     let rate = (difference[19] / difference[39]).ln() / (20.0 * dt);
@@ -185,14 +163,14 @@ fn no_resistance_is_as_before_and_threads_change_no_bit() {
             let grid = Grid { origin: [0.0; 3], spacing: DX, nodes: [20; 3] };
             let mut solver = ThermalSolver::new(grid, &[solid(2.0), solid(0.2)], 300.0, ThermalOptions::default());
             let body = |x: [f64; 3]| u16::from(x[0] > 9.0) + u16::from(x[1] > 11.0);
-            let mut cloud = Cloud::new([4.0; 3], [12; 3], 5, |x| (body(x), (body(x) % 2) as u8, 50.0 * f64::from(body(x))));
+            let mut cloud = cloud([4.0; 3], [12; 3], 5, |x| (body(x), (body(x) % 2) as u8, 50.0 * f64::from(body(x))));
             for (body, resistance) in resistances {
                 solver.set_contact_resistance(*body, *resistance);
                 // What comes does not depend on what was.
-                cloud.clone().step(&mut solver, 0.1, None);
+                step(&mut cloud.clone(), &mut solver, 0.1, None);
             }
             for _ in 0..10 {
-                cloud.step(&mut solver, 0.1, None);
+                step(&mut cloud, &mut solver, 0.1, None);
             }
             cloud.h.iter().map(|h| h.to_bits()).collect::<Vec<_>>()
         })
@@ -209,19 +187,7 @@ fn a_block_that_stands_on_another_meets_the_resistance() {
     const RESISTANCE: f64 = 5e-3;
     let (shear_modulus, bulk_modulus) = Material::moduli(1e5, 0.3);
     let rubber = Material { shear_modulus, bulk_modulus, melt_shear_modulus: shear_modulus, ..solid(50.0) };
-    let mut points = Points::default();
-    for i in 0..2 * 16usize.pow(3) {
-        let site = [i / 512, i / 32 % 16, i % 32];
-        let upper = site[2] >= 16;
-        points.position.push(std::array::from_fn(|a| ([6.0, 6.0, 5.0][a] + 0.5 * (site[a] as f64 + 0.5)) * DX));
-        points.volume.push((DX / 2.0).powi(3) as f32);
-        points.temperature.push(if upper { 310.0 } else { 300.0 });
-        points.normal.push([0.0; 3]);
-        points.material.push(0);
-        points.object.push(1 + u16::from(upper));
-        points.flags.push(FLAG_INTERNAL);
-        points.id.push(i as u32);
-    }
+    let points = block([6.0, 6.0, 5.0], [8, 8, 16], DX, |site| if site[2] >= 16 { (2, 310.0) } else { (1, 300.0) });
     let config = SolverConfig {
         grid: Grid { origin: [0.0; 3], spacing: DX, nodes: [20, 20, 28] },
         materials: vec![rubber],

@@ -1,10 +1,14 @@
 //! The heat solver through its public interface: threads, mixtures, bodies, tracers, walls, refusals.
 
+#[path = "common/cloud.rs"]
+mod cloud;
+
+use cloud::Cloud;
 use megas_math::rng::Rng;
 use megas_sim::grid::Grid;
 use megas_sim::material::{Law, Material, PhaseMode, Rheology};
 use megas_sim::source::{Film, HeatSource, Motion, Region, Schedule, Shape, SourceKind};
-use megas_sim::thermal::{AirModel, Audit, ThermalError, ThermalOptions, ThermalPoints, ThermalSolver, Wall};
+use megas_sim::thermal::{AirModel, Audit, ThermalError, ThermalOptions, ThermalSolver, Wall};
 
 fn wax() -> Material {
     Material {
@@ -40,42 +44,6 @@ fn metal() -> Material {
         solidus: f64::INFINITY,
         liquidus: f64::INFINITY,
         ..wax()
-    }
-}
-
-#[derive(Clone, Default)]
-struct Cloud {
-    xi: Vec<[f64; 3]>,
-    mass: Vec<f32>,
-    volume: Vec<f32>,
-    material: Vec<u8>,
-    object: Vec<u16>,
-    h: Vec<f64>,
-    grad_t: Vec<[f32; 3]>,
-}
-
-impl Cloud {
-    fn push(&mut self, xi: [f64; 3], mass: f32, volume: f32, material: u8, object: u16, h: f64) {
-        self.xi.push(xi);
-        self.mass.push(mass);
-        self.volume.push(volume);
-        self.material.push(material);
-        self.object.push(object);
-        self.h.push(h);
-        self.grad_t.push([0.0; 3]);
-    }
-
-    fn step(&mut self, solver: &mut ThermalSolver, dt: f64, sources: &[HeatSource], walls: Option<&[Wall]>) -> Result<Audit, ThermalError> {
-        let mut points = ThermalPoints {
-            xi: &self.xi,
-            mass: &self.mass,
-            volume: &self.volume,
-            material: &self.material,
-            object: &self.object,
-            h: &mut self.h,
-            grad_t: &mut self.grad_t,
-        };
-        solver.step(&mut points, dt, 0.0, sources, walls)
     }
 }
 

@@ -1,6 +1,9 @@
 //! Obstacles that move, come and go, and take part in the heat.
 
-use megas_model::{FLAG_INTERNAL, Points};
+#[path = "common/block.rs"]
+mod block;
+
+use megas_model::Points;
 use megas_sim::collider::{Collider, Conductor, Shape, Thermal};
 use megas_sim::grid::Grid;
 use megas_sim::material::{Material, Rheology};
@@ -30,18 +33,7 @@ fn rubber() -> Material {
 /// A block of rubber on nodes 10–18 of a box of 36³, eight points per cell, 300 K.
 fn block() -> (Grid, Points) {
     let grid = Grid { origin: [0.0; 3], spacing: DX, nodes: [36; 3] };
-    let mut points = Points::default();
-    for i in 0..16usize.pow(3) {
-        let site = [i / 256, i / 16 % 16, i % 16];
-        points.position.push(site.map(|s| (10.0 + 0.5 * (s as f64 + 0.5)) * DX));
-        points.volume.push((DX / 2.0).powi(3) as f32);
-        points.temperature.push(300.0);
-        points.normal.push([0.0; 3]);
-        points.material.push(0);
-        points.object.push(1);
-        points.flags.push(FLAG_INTERNAL);
-        points.id.push(i as u32);
-    }
+    let points = block::block([10.0; 3], [8; 3], DX, |_| (1, 300.0));
     (grid, points)
 }
 

@@ -5,7 +5,6 @@
 //! differs from the truth: texture that moves as it should is no unrest then, and a picture that is calm because its texture is washed
 //! out is not calm.
 
-use megas_math::sh;
 use megas_metrics::consistency::second_difference;
 use megas_metrics::deform::{Carry, Deformation, Stage};
 use megas_metrics::fidelity::{TrueView, draw};
@@ -13,7 +12,7 @@ use megas_metrics::mesh_quality::{MeshDifference, advected};
 use megas_metrics::mesh_view::MeshGeometry;
 use megas_metrics::surface::MeshDistance;
 use megas_model::{Camera, Image, Mesh};
-use megas_raster::{Frame, Rasterizer};
+use megas_raster::{Frame, Gaussians, Rasterizer};
 use megas_skin::imls::{Imls, ImlsSettings, Samples};
 use megas_skin::mesh::attributes::{Carriers, colour};
 use megas_skin::mesh::{MeshSettings, ParticleField, body_mesh};
@@ -74,11 +73,29 @@ pub fn coherence(model: &Filled, truth: &Truth) -> Value {
     }
     let film = |d: Deformation| {
         let shots = Shots::new(truth, d);
-        let mut figures: Map<String, Value> = Look::ALL.map(|l| (l.names().0.to_owned(), shots.measure(model, l))).into_iter().collect();
+        let poses: Vec<Pose> = shots.stages.iter().map(|s| Pose::new(model, s, d)).collect();
+        let mut figures: Map<String, Value> =
+            Look::ALL.map(|l| (l.names().0.to_owned(), shots.measure(model, &poses, l))).into_iter().collect();
         figures.insert(TRUTH.to_owned(), json!({ "second_difference": shots.plain(&shots.pictures) }));
         (d.id().to_owned(), Value::Object(figures))
     };
     Value::Object(FILMS.map(film).into_iter().collect())
+}
+
+/// A model in a frame.
+struct Pose {
+    /// Its splats, without and with what B6 does to them.
+    plain: Gaussians,
+    surface: Gaussians,
+    /// Where its particles are.
+    inside: Vec<[f32; 3]>,
+}
+
+impl Pose {
+    fn new(model: &Filled, stage: &Stage, d: Deformation) -> Self {
+        let posed = |method| posed_surface(method, model, stage, d, Carry::ElasticLike);
+        Self { plain: posed(Contender::B5), surface: posed(Contender::B6), inside: moved(model, stage, d) }
+    }
 }
 
 /// The truth of a film.
@@ -116,27 +133,25 @@ impl Shots {
         out
     }
 
-    fn measure(&self, model: &Filled, look: Look) -> Value {
+    fn measure(&self, model: &Filled, poses: &[Pose], look: Look) -> Value {
         match look {
             Look::Splats | Look::Sealed => {
                 let (mut sealing, mut rasterizer, mut frame) = (densifier(model), Rasterizer::new(), Frame::default());
-                let method = if look == Look::Sealed { Contender::B6 } else { Contender::B5 };
-                let picture = |stage: &Stage| {
-                    let surface = posed_surface(method, model, stage, self.deformation, Carry::ElasticLike);
-                    let all = match look {
-                        Look::Sealed => with_inside(model, stage, self.deformation, surface, &mut sealing, DT),
-                        _ => surface,
-                    };
-                    draw(&all, &self.camera, &mut rasterizer, &mut frame)
+                let picture = |p: &Pose| match look {
+                    Look::Sealed => {
+                        let all = with_inside(self.deformation, p.surface.clone(), &p.inside, &mut sealing, DT);
+                        draw(&all, &self.camera, &mut rasterizer, &mut frame)
+                    }
+                    _ => draw(&p.plain, &self.camera, &mut rasterizer, &mut frame),
                 };
-                let pictures: Vec<Image> = self.stages.iter().map(picture).collect();
+                let pictures: Vec<Image> = poses.iter().map(picture).collect();
                 json!({ "second_difference": self.plain(&pictures), "beyond_truth": self.beyond(&pictures, &self.pictures) })
             }
             Look::SkinMesh | Look::ParticleMesh | Look::DensityMesh => {
-                let meshes: Vec<Mesh> = self.stages.iter().map(|s| self.mesh(model, s, look)).collect();
+                let meshes: Vec<Mesh> = poses.iter().map(|p| self.mesh(model, p, look)).collect();
                 let pictures: Vec<Image> = meshes.iter().map(|m| TrueView::new(m, self.camera).image).collect();
                 let shapes: Vec<Image> = meshes.iter().map(|m| normals(m, &MeshGeometry::new(m, &self.camera))).collect();
-                let steps = self.steps(model, &meshes);
+                let steps = self.steps(poses, &meshes);
                 let mean = |f: fn(&MeshDifference) -> f64| steps.iter().map(f).sum::<f64>() / steps.len().max(1) as f64;
                 json!({
                     "second_difference": self.plain(&pictures),
@@ -159,26 +174,23 @@ impl Shots {
         second_difference(&pictures.iter().zip(truth).map(less).collect::<Vec<_>>(), &self.mask)
     }
 
-    fn mesh(&self, model: &Filled, stage: &Stage, look: Look) -> Mesh {
-        let surface = posed_surface(Contender::B6, model, stage, self.deformation, Carry::ElasticLike);
-        let inside = moved(model, stage, self.deformation);
+    fn mesh(&self, model: &Filled, pose: &Pose, look: Look) -> Mesh {
+        let Pose { surface, inside, .. } = pose;
         let samples = Samples { position: surface.mean.clone(), normal: surface.normal.clone(), weight: Vec::new() };
         let skin = (look == Look::SkinMesh).then(|| Imls::new(&samples.raised(model.depth as f32), &ImlsSettings::default())).flatten();
         let field = if look == Look::DensityMesh { ParticleField::Density } else { ParticleField::AveragedCentre };
         let settings = MeshSettings { field, ..MeshSettings::new(model.spacing, self.diagonal) };
-        let mut mesh = body_mesh(&inside, skin.as_ref(), &settings);
-        let rgb = |i: usize| [0, 1, 2].map(|k| sh::rgb_from_dc(model.surface.sh_of(i)[k]).clamp(0.0, 1.0));
-        let own: Vec<[f32; 3]> = (0..model.surface.len()).map(rgb).collect();
+        let mut mesh = body_mesh(inside, skin.as_ref(), &settings);
+        let own: Vec<[f32; 3]> = (0..model.surface.len()).map(|i| model.surface.base_rgb(i).map(|v| v.clamp(0.0, 1.0))).collect();
         let outer = Carriers { position: &surface.mean, value: &own };
-        colour(&mut mesh, outer, Carriers { position: &inside, value: &model.colour }, model.spacing as f32);
+        colour(&mut mesh, outer, Carriers { position: inside, value: &model.colour }, model.spacing as f32);
         mesh
     }
 
     /// Every mesh, carried to the next frame by the particles, against the mesh of that frame.
-    fn steps(&self, model: &Filled, meshes: &[Mesh]) -> Vec<MeshDifference> {
-        let at: Vec<Vec<[f32; 3]>> = self.stages.iter().map(|s| moved(model, s, self.deformation)).collect();
+    fn steps(&self, poses: &[Pose], meshes: &[Mesh]) -> Vec<MeshDifference> {
         let step = |k: usize| {
-            let carried = advected(&meshes[k], &at[k], &at[k + 1])?;
+            let carried = advected(&meshes[k], &poses[k].inside, &poses[k + 1].inside)?;
             let (a, b) = (MeshDistance::new(&carried).ok()?, MeshDistance::new(&meshes[k + 1]).ok()?);
             Some(MeshDifference::new((&carried, &a), (&meshes[k + 1], &b), self.diagonal, SAMPLES))
         };

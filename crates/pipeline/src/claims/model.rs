@@ -116,7 +116,7 @@ pub fn posed(method: Contender, model: &Filled, stage: &Stage, d: Deformation, m
     let surface = posed_surface(method, model, stage, d, mode);
     if method.shows_inside() && !model.particles.is_empty() {
         // A single frame shows at once what it selects.
-        with_inside(model, stage, d, surface, &mut densifier(model), 0.0)
+        with_inside(d, surface, &moved(model, stage, d), &mut densifier(model), 0.0)
     } else {
         surface
     }
@@ -168,13 +168,12 @@ pub fn densifier(model: &Filled) -> Densifier {
     Densifier::new(anatomy, DensifySettings::default())
 }
 
-/// Draws the particles that come to light, on top of the surface (§7), `dt` seconds after the last frame.
-pub fn with_inside(model: &Filled, stage: &Stage, d: Deformation, mut surface: Gaussians, densifier: &mut Densifier, dt: f32) -> Gaussians {
-    let inside = moved(model, stage, d);
+/// Draws those of the particles at `inside` that come to light, on top of the surface (§7), `dt` seconds after the last frame.
+pub fn with_inside(d: Deformation, mut surface: Gaussians, inside: &[[f32; 3]], densifier: &mut Densifier, dt: f32) -> Gaussians {
     // What these maps stand for is the flow of a melt.
     let phase = vec![if d == Deformation::Rest { Phase::Solid } else { Phase::Liquid } as u8; surface.len()];
     densifier.cover(&mut surface, &phase);
-    let frame = Deformed { surface: &surface, phase: &phase, inside: &inside, temperature: &[], gone: &[] };
+    let frame = Deformed { surface: &surface, phase: &phase, inside, temperature: &[], gone: &[] };
     densifier.advance(&frame, &[], dt);
     let mut out = surface.clone();
     densifier.append(&frame, &mut out);

@@ -4,6 +4,7 @@ use megas_sim::grid::Grid;
 use megas_sim::thermal::{ThermalOptions, ThermalSolver, Wall};
 
 use super::cloud::{Cloud, simple};
+use super::surfaces::slab_root;
 use crate::{Outcome, Plot, Row};
 
 /// Node spacing \[m\], cells per slab, and heat capacity ρc \[J/(m³·K)\].
@@ -118,12 +119,7 @@ fn steady(k: [f64; 2], resistance: f64, face: f64) -> (Vec<Row>, Cloud, impl Fn(
 fn difference(biot: f64, fo: f64) -> f64 {
     // Each slab is cooled by a film to the face's own temperature, which stays.
     let term = |n: u32| {
-        let (mut low, mut high) = (f64::from(n) * std::f64::consts::PI, (f64::from(n) + 0.5) * std::f64::consts::PI);
-        for _ in 0..60 {
-            let middle = 0.5 * (low + high);
-            if middle * middle.tan() < biot { low = middle } else { high = middle }
-        }
-        let z = low;
+        let z = slab_root(biot, n);
         2.0 * z.sin().powi(2) / (z * (z + z.sin() * z.cos())) * (-z * z * fo).exp()
     };
     (0..40).map(term).sum()

@@ -82,19 +82,20 @@ pub fn slab() -> Outcome {
     Outcome::from(rows).plot(plot)
 }
 
+/// Root of `ζ tan ζ = Bi`, which rises from 0 to ∞ there, between nπ and nπ + π/2.
+pub(super) fn slab_root(biot: f64, n: u32) -> f64 {
+    let (mut lo, mut hi) = (f64::from(n) * std::f64::consts::PI, (f64::from(n) + 0.5) * std::f64::consts::PI);
+    for _ in 0..60 {
+        let middle = 0.5 * (lo + hi);
+        if middle * middle.sin().abs() < biot * middle.cos().abs() { lo = middle } else { hi = middle }
+    }
+    0.5 * (lo + hi)
+}
+
 /// Temperature of a slab between two films at the distance `x` (in half thicknesses) from its middle, started at 1.
 fn slab_profile(biot: f64, fourier: f64, x: f64) -> f64 {
-    let root = |n: u32| {
-        // ζ tan ζ = Bi rises from 0 to ∞ between nπ and nπ + π/2.
-        let (mut lo, mut hi) = (f64::from(n) * std::f64::consts::PI, (f64::from(n) + 0.5) * std::f64::consts::PI);
-        for _ in 0..60 {
-            let middle = 0.5 * (lo + hi);
-            if middle * middle.sin().abs() < biot * middle.cos().abs() { lo = middle } else { hi = middle }
-        }
-        0.5 * (lo + hi)
-    };
     let term = |n: u32| {
-        let z = root(n);
+        let z = slab_root(biot, n);
         2.0 * z.sin() / (z + z.sin() * z.cos()) * (z * x).cos() * (-z * z * fourier).exp()
     };
     (0..12).map(term).sum()
