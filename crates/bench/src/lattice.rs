@@ -18,6 +18,9 @@ pub struct Args {
     /// Number format of the stored populations
     #[arg(long, value_enum, default_value = "f32")]
     storage: Format,
+    /// L2: the flow on cells of 2³ nodes
+    #[arg(long)]
+    coarse_flow: bool,
     /// Threads
     #[arg(long, default_value_t = 1)]
     threads: usize,
@@ -64,6 +67,7 @@ pub fn run(args: &Args, heat: bool) -> String {
 fn measure(args: &Args, heat: bool, scene: &str) -> String {
     let n = args.n;
     let trt = args.operator == Operator::Trt;
+    let flow_ratio = if heat && args.coarse_flow { 2 } else { 1 };
     // α 0.02, β 1, g_z −0.0005 with T₀ = 1: the force is 0.0005 (T − 1) upwards.
     let mut lattice = Lattice::new(LatticeSettings {
         heat,
@@ -71,6 +75,7 @@ fn measure(args: &Args, heat: bool, scene: &str) -> String {
         lambda_heat: trt.then_some(LAMBDA_AIR),
         buoyancy: [0.0, 0.0, if heat { 0.0005 } else { 0.0 }],
         storage: args.storage.storage(),
+        flow_ratio,
         ..LatticeSettings::new([n; 3], (TAU_FLOW - 0.5) / 3.0, 0.02)
     });
     let k = TAU / n as f64;
@@ -103,7 +108,7 @@ fn measure(args: &Args, heat: bool, scene: &str) -> String {
     let updates = nodes * STEPS as f64 / 1e6;
     let mut out = serde_json::json!({
         "scene": scene, "n": n, "operator": format!("{:?}", args.operator).to_lowercase(),
-        "storage": format!("{:?}", args.storage).to_lowercase(), "threads": args.threads,
+        "storage": format!("{:?}", args.storage).to_lowercase(), "flow_ratio": flow_ratio, "threads": args.threads,
         "reps": REPETITIONS, "median_wall_s": wall, "median_cpu_s": cpu, "median_MLUPs": updates / wall,
         "median_MLUP_per_core_s": updates / cpu, "mean_rho": rho / nodes, "ux_rms": (ux2 / nodes).sqrt(),
         "steps": WARM_UP + REPETITIONS * STEPS, "simd": lattice.simd(), "load": timing::load(), "version": env!("CARGO_PKG_VERSION"),

@@ -350,6 +350,7 @@ fn simulated_air(scene: &Scene, volume_m3: f64, config: &SolverConfig, points: &
             AirStorage::F32 => Storage::F32,
             AirStorage::F16 => Storage::F16,
         },
+        flow_ratio: if scene.air.coarse_flow { 2 } else { 1 },
     })
 }
 

@@ -283,6 +283,9 @@ pub struct Air {
     /// With "still" and "lbm": number format in which the air is stored. "f16" takes half the memory and less time, and rounds
     /// away details of the flow below a thousandth.
     pub storage: AirStorage,
+    /// With "lbm": the air flows on cells of twice the size, an eighth as many; heat keeps its cells. Faster in large boxes; plumes
+    /// thinner than four cells blur.
+    pub coarse_flow: bool,
 }
 
 impl Default for Air {
@@ -296,6 +299,7 @@ impl Default for Air {
             plume_steps: 0,
             closed: false,
             storage: AirStorage::F32,
+            coarse_flow: false,
         }
     }
 }

@@ -176,7 +176,8 @@ fn still_air_takes_what_a_cube_loses() {
 #[test]
 fn threads_and_restarts_change_no_bit() {
     for storage in [Storage::F32, Storage::F16] {
-        threads_and_restarts(storage);
+        threads_and_restarts(storage, 1);
+        threads_and_restarts(storage, 2);
     }
 }
 
@@ -278,8 +279,8 @@ fn bodies_with_a_contact_resistance_share_the_air() {
     assert!(one == run(3, 10.0).1, "threads");
 }
 
-fn threads_and_restarts(storage: Storage) {
-    let air = SimulatedAir { wall_film: 10.0, emissivity: 0.9, plume_steps: 5, storage, ..SimulatedAir::default() };
+fn threads_and_restarts(storage: Storage, flow_ratio: usize) {
+    let air = SimulatedAir { wall_film: 10.0, emissivity: 0.9, plume_steps: 5, storage, flow_ratio, ..SimulatedAir::default() };
     let setup = config(air, 350.0, true);
     let points = cube(320.0, 7.0);
     let run = |threads: usize, restart: Option<usize>| {
@@ -300,4 +301,26 @@ fn threads_and_restarts(storage: Storage) {
     let one = run(1, None);
     assert!(one == run(2, None), "two threads differ from one");
     assert!(one == run(2, Some(3)), "a restart differs");
+}
+
+/// With the flow on cells of twice the size a hot plate warms a cube and its air about as much, and the books
+/// close.
+#[test]
+fn a_coarse_flow_warms_alike() {
+    let setup = |flow_ratio| config(SimulatedAir { flow_ratio, plume_steps: 5, ..SimulatedAir::default() }, 353.15, true);
+    let warmed = |flow_ratio| {
+        let mut solver = Solver::new(setup(flow_ratio), &cube(AMBIENT as f32, 9.0)).expect("a solver");
+        (0..25).for_each(|_| _ = advance(&mut solver));
+        solver
+    };
+    let (fine, coarse) = (warmed(1), warmed(2));
+    let [a, b] = [&fine, &coarse].map(|s| s.totals().audit.expect("an audit"));
+    // Its lattice is thicker here, 2.8 instead of 1.4 times as viscous as real air, and fluxes go with the fourth root of that.
+    let thick = [&fine, &coarse].map(|s| s.air_step().expect("simulated air").thickened);
+    assert!((thick[1] / thick[0] - 2.0).abs() < 1e-9, "{thick:?}");
+    assert!((b.wall / a.wall - 0.9).abs() < 0.05 && (b.air / a.air - 0.9).abs() < 0.05, "{a:?} {b:?}");
+    assert!(b.residual.abs() < 1e-6 * b.heats(), "{b:?}");
+    let air = coarse.air().expect("simulated air");
+    let fastest = (0..33).map(|k| air.flow([18, 12, k]).1[2]).fold(f64::MIN, f64::max);
+    assert!(fastest > 1e-4, "{fastest}");
 }

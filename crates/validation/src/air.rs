@@ -61,6 +61,10 @@ pub const CASES: &[Case] = &[
         .proves("boundary layers of a few nodes")
         .setup("160², as above")
         .formula("de Vahl Davis 1983"),
+    Case::new("V22-coarse", "natural convection with the flow on every second node", Tier::B, cavity::coarse)
+        .proves("that the flow may have an eighth of the nodes")
+        .setup("V22 at Ra = 10³, 10⁴ and 10⁵: temperature on 32², 64² and 96² nodes, flow on 16², 32² and 48²")
+        .formula("de Vahl Davis 1983"),
     Case::new("V23", "natural convection in a cubic cavity, Ra = 10⁴", Tier::C, cavity::cube)
         .proves("the third dimension")
         .setup("32³, hot and cold walls, four adiabatic walls")

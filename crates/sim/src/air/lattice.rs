@@ -1,5 +1,6 @@
 //! A box of air: flow and temperature populations, advanced in place (simulation.md §4).
 
+mod coarse;
 mod rescale;
 
 use fearless_simd::{Level, dispatch};
@@ -95,7 +96,12 @@ pub struct Lattice {
     filled: Vec<u32>,
     flux: Vec<f32>,
     odd: bool,
-    carried: bool,
+    /// Flow on cells of 2³ nodes, if it is not here.
+    coarse: Option<Box<Lattice>>,
+    /// The next step of the temperature starts with one of such a flow.
+    flow_is_due: bool,
+    /// This is such a flow: its temperature comes from the nodes of its cells.
+    warmed: bool,
     write_all: bool,
     level: Level,
 }
@@ -115,12 +121,12 @@ impl Lattice {
         nodes.solid_velocity = [zeros(), zeros(), zeros()];
         nodes.sponge = zeros();
         nodes.class = vec![0; settings.nodes[0] * settings.nodes[1] * layout.chunks()];
-        let flow_links = if settings.flow { Links::new(&layout, Q19, &settings.faces) } else { Links::default() };
+        let flow_links = if settings.flows_here() { Links::new(&layout, Q19, &settings.faces) } else { Links::default() };
         let heat_links = if settings.heat { Links::new(&layout, Q7, &settings.faces) } else { Links::default() };
         let mut lattice = Self {
             populations: Populations::new(
                 settings.storage,
-                if settings.flow { layout.populations(Q19) } else { 0 },
+                if settings.flows_here() { layout.populations(Q19) } else { 0 },
                 if settings.heat { layout.populations(Q7) } else { 0 },
             ),
             layout,
@@ -133,12 +139,15 @@ impl Lattice {
             filled: Vec::new(),
             flux: Vec::new(),
             odd: false,
-            carried: false,
+            coarse: None,
+            flow_is_due: true,
+            warmed: false,
             write_all: false,
             level: Level::new(),
             settings,
         };
         lattice.classify();
+        lattice.refine_flow();
         lattice
     }
 
@@ -189,7 +198,7 @@ impl Lattice {
 
     /// Keep temperature and velocity of every node up to date in every step, not only where they are needed.
     pub fn keep_fields(&mut self, keep: bool) {
-        self.write_all = keep;
+        self.write_all = keep || self.coarse.is_some();
     }
 
     /// Sets every node to the equilibrium of `state(node)` = (density, velocity, temperature over the reference).
@@ -205,12 +214,13 @@ impl Lattice {
                 }
             }
         }
+        self.fill_coarse(&state);
     }
 
     /// Equilibrium of one node. Only valid where the neighbours' departing populations do not matter: everywhere.
     fn set_equilibrium(&mut self, n: [usize; 3], rho: f64, u: [f64; 3], t: f64) {
         let here = n.map(|v| v as isize);
-        if self.settings.flow {
+        if self.settings.flows_here() {
             let u2: f64 = u.iter().map(|v| v * v).sum();
             for k in 0..Q19 {
                 let cu: f64 = (0..3).map(|a| f64::from(C[k][a]) * u[a]).sum();
@@ -317,6 +327,7 @@ impl Lattice {
         if self.settings.heat {
             self.connect(states);
         }
+        self.set_coarse_nodes(states);
         (displaced, released)
     }
 
@@ -393,7 +404,8 @@ impl Lattice {
     /// One step. `exchange` receives all exchange links, in a fixed order, and returns the heat that each brings into the
     /// air \[K\].
     pub fn step_with(&mut self, exchange: impl FnOnce(&mut dyn Iterator<Item = ExchangeLink>, &mut [f32])) -> StepReport {
-        let seen = self.collide_and_stream();
+        let flow = self.step_coarse();
+        let seen = self.collide_and_stream().merge(flow);
         let odd = !self.odd;
         let mut report = StepReport { seen, wall: 0.0, open: seen.sponge, exchanged: 0.0 };
         if !self.exchange.is_empty() {
@@ -444,7 +456,8 @@ impl Lattice {
             buoyancy: lattice(s.buoyancy),
             limit: s.buoyancy_limit as f32,
             wind: lattice(s.wind),
-            carried: self.carried,
+            carried: self.coarse.is_some(),
+            warmed: self.warmed,
             sign: if self.odd { -1.0 } else { 1.0 },
             reach: std::array::from_fn(|q| reach(&self.layout, self.odd, q)),
             write_all: self.write_all,
@@ -482,6 +495,9 @@ impl Lattice {
         if !self.settings.flow {
             return (1.0, self.settings.wind);
         }
+        if let Some(coarse) = &self.coarse {
+            return self.coarse_flow(coarse, n);
+        }
         let (mut rho, mut m) = (1.0, [0.0; 3]);
         for k in 0..Q19 {
             let f = self.flow_population(n, k);
@@ -496,7 +512,10 @@ impl Lattice {
     /// Density and force-corrected velocity of a node of plain air (simulation.md §4.2).
     pub fn macroscopic(&self, n: [usize; 3]) -> (f64, [f64; 3]) {
         let (rho, u) = self.flow(n);
-        let t = if self.settings.heat { self.temperature(n) } else { 0.0 };
+        if self.coarse.is_some() {
+            return (rho, u);
+        }
+        let t = if self.settings.heat || self.warmed { self.temperature(n) } else { 0.0 };
         let t = t.clamp(-self.settings.buoyancy_limit, self.settings.buoyancy_limit);
         (rho, std::array::from_fn(|a| u[a] + 0.5 * (self.settings.force[a] + self.settings.buoyancy[a] * t) / rho))
     }
@@ -561,7 +580,7 @@ impl Lattice {
         let mut out = Vec::with_capacity(nx * ny * nz * (Q19 + Q7 + 6));
         for n in self.every() {
             let here = n.map(|v| v as isize);
-            if self.settings.flow {
+            if self.settings.flows_here() {
                 out.extend((0..Q19).map(|k| self.populations.flow(self.layout.arriving(Q19, self.odd, k, here))));
             }
             if self.settings.heat {
@@ -571,16 +590,18 @@ impl Lattice {
             let v = &self.nodes.solid_velocity;
             out.extend([self.nodes.t[o], self.nodes.memory[o], v[0][o], v[1][o], v[2][o], self.nodes.solid[o]]);
         }
+        out.extend(self.save_coarse());
         out
     }
 
     /// Continues from [`Lattice::save`]; call [`Lattice::set_nodes`] before the next step. False, and nothing changes, if the
     /// state belongs to another lattice.
     pub fn restore(&mut self, state: &[f32]) -> bool {
-        let (flow, heat) = (if self.settings.flow { Q19 } else { 0 }, if self.settings.heat { Q7 } else { 0 });
+        let (flow, heat) = (if self.settings.flows_here() { Q19 } else { 0 }, if self.settings.heat { Q7 } else { 0 });
         let record = flow + heat + 6;
         let nodes: Vec<[usize; 3]> = self.every().collect();
-        if state.len() != nodes.len() * record {
+        let Some((state, coarse)) = state.split_at_checked(nodes.len() * record) else { return false };
+        if !self.restore_coarse(coarse) {
             return false;
         }
         self.odd = false;
@@ -627,7 +648,11 @@ fn sweep_planes<F: Format, G: Format>(
     let nx = s.nodes[0];
     let plane = layout.plane;
     let class = s.nodes[1] * layout.chunks();
-    let f = if s.flow { planes::<F, Q19>(layout, odd, f) } else { (0..nx).map(|_| std::array::from_fn(|_| Default::default())).collect() };
+    let f = if s.flows_here() {
+        planes::<F, Q19>(layout, odd, f)
+    } else {
+        (0..nx).map(|_| std::array::from_fn(|_| Default::default())).collect()
+    };
     let g = if s.heat { planes::<G, Q7>(layout, odd, g) } else { (0..nx).map(|_| std::array::from_fn(|_| Default::default())).collect() };
     let [ux, uy, uz] = &mut nodes.u;
     let velocity = ux.chunks_exact_mut(plane).zip(uy.chunks_exact_mut(plane)).zip(uz.chunks_exact_mut(plane));
@@ -652,7 +677,7 @@ fn sweep_planes<F: Format, G: Format>(
     }
     let seen: Vec<Seen> = tasks
         .par_iter_mut()
-        .map(|p| match (s.flow, s.heat) {
+        .map(|p| match (s.flows_here(), s.heat) {
             (true, true) => dispatch!(level, v => sweep::<_, F, G, true, true>(v, cx, p)),
             (true, false) => dispatch!(level, v => sweep::<_, F, G, true, false>(v, cx, p)),
             (false, _) => dispatch!(level, v => sweep::<_, F, G, false, true>(v, cx, p)),

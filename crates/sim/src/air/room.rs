@@ -56,6 +56,8 @@ pub struct SimulatedAir {
     pub closed: bool,
     /// Number format of the stored populations.
     pub storage: Storage,
+    /// Spacing of the flow in nodes of the temperature, 1 or 2.
+    pub flow_ratio: usize,
 }
 
 impl Default for SimulatedAir {
@@ -69,6 +71,7 @@ impl Default for SimulatedAir {
             plume_steps: 0,
             closed: false,
             storage: Storage::F32,
+            flow_ratio: 1,
         }
     }
 }
@@ -78,7 +81,7 @@ impl Default for SimulatedAir {
 pub struct AirStep {
     /// Lattice steps per coupling step.
     pub steps: u32,
-    /// Viscosity over that of real air, ≥ 1; conductivity of pure air grows alike.
+    /// Viscosity over that of real air, ≥ 1; conductivity of pure air grows alike, with a coarse flow half as much.
     pub thickened: f64,
 }
 
@@ -101,15 +104,19 @@ impl SimulatedAir {
         let alpha = CONDUCTIVITY / HEAT_CAPACITY;
         let step = dt / f64::from(steps);
         let unit = step / (dx * dx);
-        let thickened = if self.convection { (LEAST_VISCOSITY / (VISCOSITY * unit)).max(1.0) } else { 1.0 };
+        let thickened = |least: f64| if self.convection { (least / (VISCOSITY * unit)).max(1.0) } else { 1.0 };
+        // A coarse flow has fewer nodes per thickness of a boundary layer than its temperature, which need not follow it.
+        let conducting = thickened(LEAST_VISCOSITY);
+        let thickened = thickened(LEAST_VISCOSITY * self.flow_ratio as f64);
         let viscosity = VISCOSITY * unit * thickened;
-        let mut s = LatticeSettings::new(nodes, viscosity, (alpha * unit * thickened).max(LEAST_CONDUCTIVITY));
+        let mut s = LatticeSettings::new(nodes, viscosity, (alpha * unit * conducting).max(LEAST_CONDUCTIVITY));
         s.flow = self.convection;
         s.storage = self.storage;
+        s.flow_ratio = self.flow_ratio;
         if !s.flow {
             s.lambda_heat = Some(LAMBDA_STILL);
         }
-        s.smagorinsky = if 3.0 * viscosity + 0.5 < THIN { SMAGORINSKY } else { 0.0 };
+        s.smagorinsky = if 3.0 * viscosity / self.flow_ratio as f64 + 0.5 < THIN { SMAGORINSKY } else { 0.0 };
         let beta = 1.0 / ambient;
         s.buoyancy = [0.0, 0.0, self.gravity * beta * step * step / dx];
         s.buoyancy_limit = 0.5 / beta;

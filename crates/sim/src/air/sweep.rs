@@ -32,6 +32,8 @@ pub(crate) struct Context<'a> {
     pub(crate) wind: [f32; 3],
     /// Without flow: take the velocity from the node arrays instead of `wind`.
     pub(crate) carried: bool,
+    /// Without temperature: buoyancy by the temperatures in the node arrays.
+    pub(crate) warmed: bool,
     /// +1 in even steps, −1 in odd ones.
     pub(crate) sign: f32,
     pub(crate) reach: [isize; 19],
@@ -216,6 +218,8 @@ fn vector<S: Simd, F: Format, G: Format, const FLOW: bool, const HEAT: bool, con
         if GENERAL && class & HOLES != 0 {
             t = memory.simd_gt(zero).select(t, load(s, p.t, n));
         }
+    } else if cx.warmed {
+        t = load(s, p.t, n);
     }
 
     let mut u = each3(|a| c(cx.wind[a]));
@@ -229,7 +233,7 @@ fn vector<S: Simd, F: Format, G: Format, const FLOW: bool, const HEAT: bool, con
         }
         let (rho, m) = d3q19::moments(&f);
         let mut force = each3(|a| c(cx.force[a]));
-        if HEAT {
+        if HEAT || cx.warmed {
             let warm = t.max(c(-cx.limit)).min(c(cx.limit));
             force = each3(|a| warm.mul_add(c(cx.buoyancy[a]), force[a]));
         }

@@ -85,9 +85,9 @@ fn settle(lattice: &mut Lattice) -> usize {
 }
 
 /// A square cavity after `steps`, or at rest.
-fn settled(p: &Published, storage: Storage, steps: Option<usize>) -> (Lattice, usize) {
+fn settled(p: &Published, storage: Storage, flow_ratio: usize, steps: Option<usize>) -> (Lattice, usize) {
     let n = p.nodes;
-    let mut s = LatticeSettings { storage, ..convection([n, 1, n], n as f64, p.ra, 0.1) };
+    let mut s = LatticeSettings { storage, flow_ratio, ..convection([n, 1, n], n as f64, p.ra, 0.1) };
     s.faces = [[Face::fixed(0.5), Face::fixed(-0.5)], [Face::PERIODIC; 2], [Face::WALL; 2]];
     alone(|| {
         let mut lattice = Lattice::new(s);
@@ -123,8 +123,8 @@ pub fn half() -> Outcome {
         }
     }
     for p in &TABLE[..2] {
-        let (single, steps) = settled(p, Storage::F32, None);
-        let (half, _) = settled(p, Storage::F16, Some(steps));
+        let (single, steps) = settled(p, Storage::F32, 1, None);
+        let (half, _) = settled(p, Storage::F16, 1, Some(steps));
         let n = p.nodes;
         let label = format!("Ra = 10^{}", p.ra.log10().round());
         let local = |l: &Lattice| -> Vec<f64> { (0..n).map(|z| wall_nusselt(l, n as f64, 0, z)).collect() };
@@ -154,11 +154,29 @@ pub fn half() -> Outcome {
     notes.into_iter().fold(Outcome::from(rows), Outcome::note)
 }
 
-fn square(cases: &[Published]) -> Outcome {
+/// Relative tolerances of the local numbers of V22.
+struct Tolerance {
+    largest: f64,
+    smallest: f64,
+    speed: f64,
+}
+
+const SQUARE: Tolerance = Tolerance { largest: 0.01, smallest: 0.02, speed: 0.015 };
+/// With half the nodes across a boundary layer. Worst is the corner where the flow leaves the wall: between its cells the flow is
+/// interpolated and not free of sources, and little is carried there to make up for it.
+const COARSE: Tolerance = Tolerance { largest: 0.02, smallest: 0.2, speed: 0.025 };
+
+/// V22 with the flow on cells of twice the size.
+pub fn coarse() -> Outcome {
+    square(&TABLE[..3], 2)
+}
+
+fn square(cases: &[Published], flow_ratio: usize) -> Outcome {
     let mut outcome = Outcome::default();
+    let tolerance = if flow_ratio == 1 { SQUARE } else { COARSE };
     for p in cases {
         let n = p.nodes;
-        let (lattice, steps) = settled(p, Storage::F32, None);
+        let (lattice, steps) = settled(p, Storage::F32, flow_ratio, None);
         let unit = n as f64 / lattice.settings().diffusivity;
         let h = n / 2;
         let mean = |a, b, axis: usize| 0.5 * unit * (lattice.macroscopic(a).1[axis] + lattice.macroscopic(b).1[axis]);
@@ -169,18 +187,23 @@ fn square(cases: &[Published]) -> Outcome {
         let label = format!("Ra = 10^{}", p.ra.log10().round());
         let (nu_max, nu_y) = peak(&local);
         let ((u_max, u_y), (v_max, v_x)) = (peak(&u), peak(&v));
-        let rows = [
-            Row::relative(format!("{label}: Nu of the volume"), p.nu, volume_nusselt(&lattice), 0.01),
-            Row::relative(format!("{label}: Nu of the hot wall"), p.nu, wall, 0.01),
-            Row::relative(format!("{label}: largest local Nu"), p.nu_max.0, nu_max, 0.01),
-            Row::new(format!("{label}: its height"), p.nu_max.1, nu_y, 0.02),
-            Row::relative(format!("{label}: smallest local Nu"), p.nu_min, local.iter().copied().fold(f64::INFINITY, f64::min), 0.02),
-            Row::relative(format!("{label}: largest u on x = ½"), p.u_max.0, u_max, 0.015),
-            Row::new(format!("{label}: its height"), p.u_max.1, u_y, 0.01),
-            Row::relative(format!("{label}: largest v on y = ½"), p.v_max.0, v_max, 0.015),
-            Row::new(format!("{label}: its place"), p.v_max.1, v_x, 0.01),
-        ];
-        outcome.rows.extend(rows);
+        let least = local.iter().copied().fold(f64::INFINITY, f64::min);
+        let relative = |what: &str, published, ours, tolerance| Row::relative(format!("{label}: {what}"), published, ours, tolerance);
+        let place = |what: &str, published, ours, tolerance| Row::new(format!("{label}: {what}"), published, ours, tolerance);
+        outcome.rows.extend([
+            relative("Nu of the volume", p.nu, volume_nusselt(&lattice), 0.01),
+            relative("Nu of the hot wall", p.nu, wall, 0.01),
+            relative("largest local Nu", p.nu_max.0, nu_max, tolerance.largest),
+            relative("smallest local Nu", p.nu_min, least, tolerance.smallest),
+            relative("largest u on x = ½", p.u_max.0, u_max, tolerance.speed),
+            place("its height", p.u_max.1, u_y, 0.01),
+            relative("largest v on y = ½", p.v_max.0, v_max, tolerance.speed),
+            place("its place", p.v_max.1, v_x, 0.01),
+        ]);
+        if flow_ratio == 1 {
+            // Flat against the ripple of an interpolated flow.
+            outcome.rows.push(place("height of the largest local Nu", p.nu_max.1, nu_y, 0.02));
+        }
         let place = |i: usize| (i as f64 + 0.5) / n as f64;
         outcome = outcome
             .plot(
@@ -195,17 +218,17 @@ fn square(cases: &[Published]) -> Outcome {
 
 /// V22, small.
 pub fn square_small() -> Outcome {
-    square(&TABLE[..2])
+    square(&TABLE[..2], 1)
 }
 
 /// V22, thin boundary layers.
 pub fn square_large() -> Outcome {
-    square(&TABLE[2..3])
+    square(&TABLE[2..3], 1)
 }
 
 /// V22, thinner ones.
 pub fn square_largest() -> Outcome {
-    square(&TABLE[3..])
+    square(&TABLE[3..], 1)
 }
 
 /// V23.

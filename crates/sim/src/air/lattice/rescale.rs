@@ -24,7 +24,7 @@ impl Lattice {
             if settings.heat {
                 self.rescale_heat(n, full, ratio, flux);
             }
-            if settings.flow {
+            if settings.flows_here() {
                 let excess = rho - 1.0;
                 let (scaled, to) = (excess * ratio * ratio, std::array::from_fn(|a| ratio * (full[a] + ratio * (u[a] - full[a]))));
                 for k in 0..Q19 {
@@ -37,11 +37,14 @@ impl Lattice {
         for v in self.nodes.u.iter_mut().chain(&mut self.nodes.solid_velocity) {
             v.iter_mut().for_each(|v| *v *= ratio as f32);
         }
-        if settings.flow {
+        if settings.flows_here() {
             self.flow_links = Links::new(&self.layout, Q19, &settings.faces);
         }
         if settings.heat {
             self.heat_links = Links::new(&self.layout, Q7, &settings.faces);
+        }
+        if let Some(coarse) = &mut self.coarse {
+            coarse.change_step(settings.coarse(), ratio);
         }
         self.settings = settings;
     }
