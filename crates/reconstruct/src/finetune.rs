@@ -145,6 +145,8 @@ impl Teacher {
         o.prune = [(500, 0.05), (800, 0.1), (950, 0.1)].map(|(step, tau)| PruneEvent { step: at(step), tau }).to_vec();
         o.sh_every = 0;
         o.background = Background::Random;
+        // The original's colours are known all around.
+        o.settle_colours = None;
         o
     }
 

@@ -5,6 +5,7 @@
 
 mod adam;
 mod checkpoint;
+mod colours;
 mod exposure;
 mod finetune;
 pub mod loss;

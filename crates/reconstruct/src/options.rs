@@ -270,6 +270,9 @@ pub struct Options {
     /// For every training view the depth before which there is nothing \[scene units\]; empty if that is not known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub clearance: Vec<f32>,
+    /// Strength with which directional colours are calmed at the end where no view looked; `None` leaves them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub settle_colours: Option<f32>,
 }
 
 /// Size in units of the extent E beyond which a Gaussian is no part of any surface.
@@ -302,6 +305,9 @@ const PRUNE_AT: [u32; 5] = [8_000, 11_000, 14_000, 16_500, 20_000];
 /// `ours` prunes once more near the end, as fine-tuning does: what has lost its weight to the surface since the paper's last
 /// event is behind it by then. On the synthetic cow 0.6 % of the Gaussians are hidden instead of 2.0 %, for 0.03 dB.
 const LAST_PRUNE: PruneEvent = PruneEvent { step: 27_000, tau: 0.1 };
+
+/// Strength of [`Options::settle_colours`].
+const SETTLE: f32 = 0.02;
 
 /// Fewest pixels of all opaque training views together for every Gaussian.
 const PIXELS_PER_GAUSSIAN: usize = 24;
@@ -415,6 +421,7 @@ impl Options {
             exposure: None,
             prune_auto: false,
             clearance: Vec::new(),
+            settle_colours: ours.then_some(SETTLE),
         }
     }
 

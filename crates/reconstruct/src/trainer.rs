@@ -10,6 +10,7 @@ use megas_raster::{Channels, Cotangents, Frame, Gaussians, Gradients, Rasterizer
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::colours::{BATCH, Looks};
 use crate::exposure::Exposures;
 use crate::loss::{NormalConsistency, Photometric, PlaneGradient, PlaneImages, Target, alpha, edge_weights, regularise};
 use crate::model::Model;
@@ -199,6 +200,9 @@ impl Trainer {
         let mut report = self.descend(view, step);
         self.step = step;
         self.refine(step, &mut report);
+        if let Some(lambda) = self.options.settle_colours.filter(|_| self.done()) {
+            self.settle_colours(f64::from(lambda));
+        }
         report.gaussians = self.model.splats.len();
         report
     }
@@ -365,20 +369,29 @@ impl Trainer {
         }
     }
 
+    /// Calms directional colours where no training view looked, with strength `lambda` (see `colours`); at the end of a training.
+    pub fn settle_colours(&mut self, lambda: f64) {
+        for first in (0..self.model.splats.len()).step_by(BATCH) {
+            let mut looks = Looks::new(&self.model.splats, first);
+            self.statistics(|camera, splats, s| looks.add(camera, splats, &s.w_sum));
+            looks.settle(&mut self.model.splats, lambda);
+        }
+    }
+
     /// Statistics of all Gaussians over the training views; calls `each` after every view.
-    fn statistics(&mut self, mut each: impl FnMut(&Statistics)) {
+    fn statistics(&mut self, mut each: impl FnMut(&Camera, &Splats, &Statistics)) {
         let Self { views, work, model, .. } = self;
         work.gaussians.assign_splats(&model.splats);
         for photo in views.iter() {
             work.rasterizer.render(&work.gaussians, &photo.camera, &Settings::default(), Channels::Weights, &mut work.frame);
-            each(&work.frame.statistics);
+            each(&photo.camera, &model.splats, &work.frame.statistics);
         }
     }
 
     /// Largest blend weight of every Gaussian over the training views (splatting.md §5.6).
     pub fn largest_weights(&mut self) -> Vec<f32> {
         let mut w_max = vec![0.0f32; self.model.splats.len()];
-        self.statistics(|s| w_max.iter_mut().zip(&s.w_max).for_each(|(a, b)| *a = a.max(*b)));
+        self.statistics(|_, _, s| w_max.iter_mut().zip(&s.w_max).for_each(|(a, b)| *a = a.max(*b)));
         w_max
     }
 
@@ -450,7 +463,7 @@ impl Trainer {
     /// most 255), and the share of its blend weights that it deposits so.
     pub fn front(&mut self) -> Vec<(u8, f32)> {
         let mut sums = vec![(0u8, [0.0f32; 2]); self.model.splats.len()];
-        self.statistics(|s| {
+        self.statistics(|_, _, s| {
             for (((views, sum), v), w) in sums.iter_mut().zip(&s.votes).zip(&s.w_sum) {
                 *views = views.saturating_add(u8::from(*v != [0.0; 3]));
                 // The rays of one view to one Gaussian are nearly parallel: the length of the vote is the sum of its weights.
