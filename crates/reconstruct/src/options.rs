@@ -306,8 +306,9 @@ const PRUNE_AT: [u32; 5] = [8_000, 11_000, 14_000, 16_500, 20_000];
 /// event is behind it by then. On the synthetic cow 0.6 % of the Gaussians are hidden instead of 2.0 %, for 0.03 dB.
 const LAST_PRUNE: PruneEvent = PruneEvent { step: 27_000, tau: 0.1 };
 
-/// Strength of [`Options::settle_colours`].
-const SETTLE: f32 = 0.02;
+/// Strength of [`Options::settle_colours`]. Held-out photographs against deformed objects seen from all sides (ice cream, cow; twist): 0 has
+/// 42.32, 36.92 and 38.31, 29.46 dB, 0.02 has 42.22, 36.81 and 38.75, 29.78 dB, this 41.98, 36.54 and 39.17, 30.25 dB.
+const SETTLE: f32 = 0.08;
 
 /// Fewest pixels of all opaque training views together for every Gaussian.
 const PIXELS_PER_GAUSSIAN: usize = 24;
