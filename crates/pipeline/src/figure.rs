@@ -103,7 +103,7 @@ impl<'a> Work<'a> {
     fn run(&self, sink: &dyn Sink) -> Result<Value, Failure> {
         let out = &self.job.options.out;
         let mut simulated: Vec<Scene> = Vec::new();
-        let mut drawn = Vec::new();
+        let (mut drawn, mut failed) = (Vec::new(), Vec::new());
         for (k, (v, loaded)) in self.sheet.variants.iter().zip(&self.scenes).enumerate() {
             sink.event(Event::Note(&format!("variant {} of {}: {}", k + 1, self.scenes.len(), v.label)));
             // Variants that differ in their pictures alone share one simulation.
@@ -115,7 +115,16 @@ impl<'a> Work<'a> {
             let at = |folder: PathBuf| Options { out: folder, ..self.job.options.clone() };
             let folder = out.join(format!("variant{}", k + 1));
             let start = Instant::now();
-            let figures = render_from(loaded, &at(out.join(format!("simulation{}", base + 1))), &at(folder.clone()), sink)?;
+            let figures = match render_from(loaded, &at(out.join(format!("simulation{}", base + 1))), &at(folder.clone()), sink) {
+                Ok(figures) => figures,
+                // That a method finds no inside, say, is a result; the others are worth seeing all the same.
+                Err(Failure::Input(why)) if self.scenes.len() - failed.len() > 1 => {
+                    sink.event(Event::Warning(&format!("\"{}\" is left out: {why}", v.label)));
+                    failed.push(json!({ "label": v.label, "failed": why }));
+                    continue;
+                }
+                Err(e) => return Err(e),
+            };
             drawn.push(Drawn { label: v.label.clone(), frames: folder.join("frames"), seconds: start.elapsed().as_secs_f64(), figures });
         }
         create_dir(out)?;
@@ -124,7 +133,7 @@ impl<'a> Work<'a> {
             labels: drawn.iter().map(|d| d.label.as_str()).collect(),
             folders: drawn.iter().map(|d| d.frames.as_path()).collect(),
             kind: if self.sheet.thermal { "thermal" } else { "rgb" },
-            columns: self.columns,
+            columns: self.columns.min(drawn.len()),
             frames: scene.time.frames(),
             fps: scene.time.fps,
         };
@@ -138,6 +147,7 @@ impl<'a> Work<'a> {
             .iter()
             .zip(unrest)
             .map(|(d, m11)| json!({"label": d.label, "second_difference": m11, "seconds": d.seconds, "skin": d.figures["skin"]}))
+            .chain(failed)
             .collect();
         let result = json!({
             "figure": self.job.figure,

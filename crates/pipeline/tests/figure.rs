@@ -22,25 +22,42 @@ impl Stages {
     }
 }
 
+const BLOCK: &str = "[[input.body]]\nname = \"block\"\nform = \"box\"\nsize_m = [0.05, 0.05, 0.05]\n[[object]]\nname = \"block\"\nparts = [\"block\"]\n\
+                     [simulation]\ncells = 8\n[time]\nduration_s = 0.2\n[[camera]]\nframe = \"scene\"\n\
+                     orbit = { target = [0.0, 0.0, 0.02], distance = 0.25, azimuth_deg = 20, elevation_deg = 25 }\n[output]\nwidth = 160\nheight = 120\n";
+
+fn job(folder: &std::path::Path, sheet: &str) -> FigureJob {
+    let (scene, figure) = (folder.join("block.toml"), folder.join("mine.toml"));
+    std::fs::write(&scene, BLOCK).unwrap();
+    std::fs::write(&figure, sheet).unwrap();
+    FigureJob {
+        figure: figure.display().to_string(),
+        scene: LoadedScene::open(&scene).unwrap(),
+        options: Options { out: folder.join("out"), force: false, threads: Some(1) },
+    }
+}
+
+/// That a method finds no inside is a result too.
+#[test]
+fn a_variant_that_cannot_be_made_is_left_out_and_said_to_be() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "title = \"t\"\ntimes = [1.0]\n[[variant]]\nlabel = \"rays\"\n[[variant]]\nlabel = \"density\"\n\
+                objects = { filling = \"density-field\" }\n";
+    let job = job(folder.path(), text);
+    let result = figure(&job, &Stages::default()).unwrap();
+    assert!(result["variants"][0]["second_difference"].is_f64() && result["variants"][1]["failed"].is_string(), "{result}");
+    let png = image::open(folder.path().join("out/figure.png")).unwrap();
+    assert_eq!((png.width(), png.height()), (160, 120));
+}
+
 #[test]
 fn variants_share_simulations_and_end_beside_each_other() {
     let folder = tempfile::tempdir().unwrap();
-    let scene = folder.path().join("block.toml");
-    let text = "[[input.body]]\nname = \"block\"\nform = \"box\"\nsize_m = [0.05, 0.05, 0.05]\n[[object]]\nname = \"block\"\nparts = [\"block\"]\n\
-                [simulation]\ncells = 8\n[time]\nduration_s = 0.2\n[[camera]]\nframe = \"scene\"\n\
-                orbit = { target = [0.0, 0.0, 0.02], distance = 0.25, azimuth_deg = 20, elevation_deg = 25 }\n[output]\nwidth = 160\nheight = 120\n";
-    std::fs::write(&scene, text).unwrap();
-    let sheet = folder.path().join("mine.toml");
     let text = "title = \"t\"\ntimes = [0.0, 1.0]\n[[variant]]\nlabel = \"splats\"\n[[variant]]\nlabel = \"mesh\"\nset.skin = { draw = \"mesh\" }\n\
                 [[variant]]\nlabel = \"particles\"\nset.skin = { draw = \"particle_mesh\" }\n[[variant]]\nlabel = \"butter\"\n\
                 objects = { material = \"butter\" }\n";
-    std::fs::write(&sheet, text).unwrap();
-    let out = folder.path().join("out");
-    let job = FigureJob {
-        figure: sheet.display().to_string(),
-        scene: LoadedScene::open(&scene).unwrap(),
-        options: Options { out: out.clone(), force: false, threads: Some(1) },
-    };
+    let job = job(folder.path(), text);
+    let out = job.options.out.clone();
     let first = Stages::default();
     let result = figure(&job, &first).unwrap();
     assert_eq!((first.count("fill"), first.count("simulate"), first.count("render")), (2, 2, 4));
