@@ -42,6 +42,8 @@ pub struct Sheet {
     tree: Bvh,
     /// By the order of the tree's triangles.
     faces: Vec<Face>,
+    /// Distance below which the direction of an offset means nothing.
+    rounding: f64,
 }
 
 impl PartialEq for Sheet {
@@ -52,8 +54,8 @@ impl PartialEq for Sheet {
 
 impl Sheet {
     /// A sheet of the triangles of a mesh. Corners in the same place are one; triangles that face the other way than their
-    /// neighbours are turned round; those without area are left out. Fails where the mesh is closed, has only one side, or has
-    /// edges where more than two triangles meet.
+    /// neighbours are turned round; those without area are left out. Fails where the mesh is closed, has only one side or several
+    /// pieces, or edges where more than two triangles meet.
     pub fn new(mesh: &Mesh) -> Result<Self, MeshError> {
         Self::from_triangles(&triangles_of(mesh)?)
     }
@@ -119,7 +121,8 @@ impl Sheet {
         };
         let tree = Bvh::new(&kept);
         let faces = tree.index.iter().map(|&k| face(k as usize)).collect();
-        Ok(Self { tree, faces })
+        let rounding = 1e-6 * vec3::norm(vec3::sub(tree.nodes[0].high, tree.nodes[0].low));
+        Ok(Self { tree, faces, rounding })
     }
 
     /// Smallest and largest corner of the box around it.
@@ -143,7 +146,8 @@ impl Sheet {
         };
         let offset = vec3::sub(x, point);
         let (length, side) = (vec3::norm(offset), if vec3::dot(offset, up) < 0.0 { -1.0 } else { 1.0 });
-        let normal = if feature == Feature::Face || length == 0.0 { up } else { vec3::scale(offset, side / length) };
+        // Of a point on the sheet the offset is rounding.
+        let normal = if feature == Feature::Face || length <= self.rounding { up } else { vec3::scale(offset, side / length) };
         Some(OnSheet { distance: side * length, normal, point, rim })
     }
 }
@@ -154,7 +158,7 @@ fn edge(c: &[u32; 3], k: usize) -> (u32, u32) {
     (a.min(b), a.max(b))
 }
 
-/// Turns triangles until neighbours agree about the positive side, piece by piece, each as its first triangle has it.
+/// Turns triangles until all agree with the first about the positive side.
 fn orient(triangles: &mut [Triangle], corners: &mut [[u32; 3]]) -> Result<(), MeshError> {
     let mut at: HashMap<(u32, u32), Vec<u32>> = HashMap::new();
     for (t, c) in corners.iter().enumerate() {
@@ -167,6 +171,13 @@ fn orient(triangles: &mut [Triangle], corners: &mut [[u32; 3]]) -> Result<(), Me
     for start in 0..triangles.len() {
         if seen[start] {
             continue;
+        }
+        if start > 0 {
+            // Sides of pieces that lie close to each other would contradict each other.
+            return refuse(format!(
+                "the mesh has more than one piece, one of them at {:.4?}; give each piece its own file and collider",
+                triangles[start][0]
+            ));
         }
         seen[start] = true;
         let mut rim = false;
@@ -253,6 +264,14 @@ mod tests {
             }
         }
         assert!(sheet.near([0.0, 0.0, 1.0], 0.5).is_none());
+        // On the sheet, on edges and corners too, rounding does not turn the normal.
+        for k in 0..200 {
+            let x = 0.009 * f64::from(k) - 0.9;
+            let at = sheet.near([x, 0.5 * x, 0.25 + 1e-16 * f64::from(k % 3 - 1)], 1.0).unwrap();
+            assert!((at.normal[2] - up).abs() < 1e-9, "{at:?}");
+            let at = sheet.near([x, 5.0 * (x + 0.2), 0.25], 1.0).unwrap();
+            assert!(at.rim || (at.normal[2] - up).abs() < 1e-9, "{at:?}");
+        }
         let same = Sheet::across_box([0.0, 0.0, 0.25], [1.0, 1.0, 0.01], mat3::identity()).unwrap();
         for x in [[0.3, 0.4, 0.9], [-0.2, 0.9, -0.3], [1.2, 0.0, 0.1]] {
             let (a, b) = (sheet.near(x, 9.0).unwrap(), same.near(x, 9.0).unwrap());
@@ -311,6 +330,10 @@ mod tests {
             moebius.triangles.extend([[a, c, b], [b, c, d]]);
         }
         assert!(error(&moebius).contains("one side"), "{}", error(&moebius));
+        let mut two = strip(2, |_| 0.0);
+        two.positions.extend([[5.0, 0.0, 0.0], [6.0, 0.0, 0.0], [5.0, 1.0, 0.0]]);
+        two.triangles.push([6, 7, 8]);
+        assert!(error(&two).contains("more than one piece"));
         assert_eq!(Sheet::new(&Mesh::default()).unwrap_err(), MeshError::Empty);
     }
 }

@@ -142,8 +142,8 @@ fn a_column_of_melt_stays_behind_a_sheet_under_its_hydrostatic_pressure() {
 }
 
 /// Acceleration of a block along a slope of 30°, a sheet or thick, and its way in cells, over `seconds`; the slope is tilted, or
-/// gravity is.
-fn slide(friction: f64, seconds: f64, tilt: bool, thick: bool) -> (f64, f64) {
+/// gravity is. `level` is that of contact \[cells\].
+fn slide(friction: f64, seconds: f64, tilt: bool, thick: bool, level: f64) -> (f64, f64) {
     let dx = 0.02;
     let grid = Grid { origin: [-0.5, -0.3, -0.9], spacing: dx, nodes: [90, 30, 75] };
     let (sin, cos) = 30f64.to_radians().sin_cos();
@@ -156,7 +156,7 @@ fn slide(friction: f64, seconds: f64, tilt: bool, thick: bool) -> (f64, f64) {
     }
     let [down, _, out] = [0, 1, 2].map(|a| mat3::column(tilted, a));
     let shape = if thick { Shape::HalfSpace { point: [0.0; 3], normal: out } } else { sheet([0.0; 3], [2.0, 1.0], tilted) };
-    let slope = Collider { friction, offset: 0.0, melt_sticks: false, ..Collider::new(shape) };
+    let slope = Collider { friction, offset: level, melt_sticks: false, ..Collider::new(shape) };
     let mut m = Mechanics::new(&grid, Settings { gravity, drag: 20.0, ..Settings::default() }, vec![slope]);
     run(&mut m, &mut p, 0.2);
     m.settings.drag = 0.0;
@@ -175,11 +175,11 @@ fn slide(friction: f64, seconds: f64, tilt: bool, thick: bool) -> (f64, f64) {
 #[test]
 fn a_block_slides_and_rests_as_on_a_thick_slope() {
     let exact = 9.81 * (0.5 - 0.3 * 0.75f64.sqrt());
-    for tilt in [false, true] {
-        let (thin, thick) = (slide(0.3, 0.3, tilt, false).0, slide(0.3, 0.3, tilt, true).0);
+    for (tilt, level) in [(false, 0.0), (false, 0.5), (true, 0.5)] {
+        let (thin, thick) = (slide(0.3, 0.3, tilt, false, level).0, slide(0.3, 0.3, tilt, true, level).0);
         assert!((thin / exact - 1.0).abs() < 0.05 && (thin / thick - 1.0).abs() < 0.01, "{thin} {thick} for {exact}");
     }
-    let rest = slide(0.7, 0.5, false, false).1;
+    let rest = slide(0.7, 0.5, false, false, 0.0).1;
     assert!(rest.abs() < 0.1, "{rest}");
 }
 

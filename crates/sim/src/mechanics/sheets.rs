@@ -3,11 +3,12 @@
 //! Nodes near a sheet know on which side they lie, and so do points. A node and a point on opposite sides are *parted*. In the place
 //! of a node from which it is parted a point uses another node, which belongs to its own side alone: the nodes near a sheet exist
 //! twice. The second one is held by the sheet like any node inside an obstacle, with the same rules of contact, so weight,
-//! friction and sticking come out as on a thick obstacle, and neither mass nor momentum passes. (To leave such pairs out and let the
-//! point feel its own velocity after contact in place of the node's, as CPIC does, carries weight by the pressure that is left out, which no
-//! friction knows of.)
+//! friction and sticking come out as on a thick obstacle, and neither mass nor momentum passes. (To leave such
+//! pairs out and let the point feel its own velocity after contact in place of the node's, as CPIC does, carries weight by the pressure
+//! that is left out, and no friction knows of it: in two dimensions a block on a slope of 30° with μ = 0.3 accelerates with 4.1 m/s² in
+//! place of 2.36, and with μ = 0.7 it does not rest.)
 //!
-//! Points far from sheets never come here: blocks of points without a parted pair have no [`Near`], and groups of points without one
+//! Points far from sheets never come here: blocks of points without a parted pair have no `Near`, and groups of points without one
 //! take the ordinary transfers.
 
 use megas_math::simd::transpose::Record;
@@ -180,7 +181,7 @@ pub(crate) struct Near {
 /// Second nodes of those that the same sheets part from a point.
 pub(crate) struct Layer {
     pub mask: u16,
-    /// Places in the list of [`Ghost`]s of the blocks of nodes around, as [`super::nodes::Nodes::around`].
+    /// Places in the list of `Ghost`s of the blocks of nodes around, as `super::nodes::Nodes::around`.
     pub around: [u32; 27],
     /// Velocities.
     pub from: Tile,
@@ -251,7 +252,7 @@ impl Near {
         &from.0[o..o + 4]
     }
 
-    /// G2P of a group of points, as [`super::transfer::gather`].
+    /// G2P of a group of points, as `super::transfer::gather`.
     pub fn gather(&self, tile: &Tile, st: &Stencils, sides: &[Sides], out: &mut [Record; CHUNK]) {
         for (p, &s) in sides.iter().enumerate() {
             let w = Weights::new(st, p);
@@ -268,7 +269,7 @@ impl Near {
         }
     }
 
-    /// P2G of a group of points, as [`super::transfer::scatter`].
+    /// P2G of a group of points, as `super::transfer::scatter`.
     pub fn scatter(&mut self, tile: &mut Tile, st: &Stencils, sides: &[Sides], records: &[Record; CHUNK]) -> u32 {
         let mut regions = 0;
         for (p, &s) in sides.iter().enumerate() {
@@ -336,7 +337,7 @@ pub(crate) struct Ghost {
     /// The block in the list of blocks of nodes.
     pub block: u32,
     /// Blocks of points around it that have such a layer, and which of their layers it is; by the index of
-    /// [`super::nodes::NodeInfo`].
+    /// `super::nodes::NodeInfo`.
     pub tiles: Vec<(u8, u32, u32)>,
     pub contacts: Vec<Contact>,
     /// Liquid share of the mass of each node.
