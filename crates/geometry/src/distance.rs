@@ -45,6 +45,9 @@ pub enum MeshError {
     /// The grid for its distances would be too large, or the mesh has no extent.
     #[error("{0}")]
     Grid(String),
+    /// It is not a layer with two sides.
+    #[error("{0}")]
+    Sheet(String),
 }
 
 /// A mesh prepared for many queries; all of them may run in parallel. The surface should be closed and consistently
@@ -59,13 +62,7 @@ pub struct MeshDistance {
 impl MeshDistance {
     /// Fails for a mesh without triangles or with corners that are missing or not finite.
     pub fn new(mesh: &Mesh) -> Result<Self, MeshError> {
-        let corner = |triangle: usize, vertex: u32| match mesh.positions.get(vertex as usize) {
-            None => Err(MeshError::Vertex { triangle, vertex, vertices: mesh.positions.len() }),
-            Some(x) if x.iter().all(|v| v.is_finite()) => Ok(vec3::cast::<f32, f64>(*x)),
-            Some(&position) => Err(MeshError::NotFinite { vertex, position }),
-        };
-        let triangles = mesh.triangles.iter().enumerate().map(|(k, t)| Ok([corner(k, t[0])?, corner(k, t[1])?, corner(k, t[2])?]));
-        Self::from_triangles(&triangles.collect::<Result<Vec<Triangle>, _>>()?)
+        Self::from_triangles(&triangles_of(mesh)?)
     }
 
     /// From triangles by their corners, which must be finite.
@@ -95,46 +92,14 @@ impl MeshDistance {
 
     /// The nearest point of the surface.
     pub fn closest(&self, x: Vec3<f64>) -> Closest {
-        let (d2, point, k) = self.nearest(x, f64::INFINITY);
+        let (d2, point, k) = nearest(&self.tree, x, f64::INFINITY);
         Closest { point, distance: d2.sqrt(), triangle: self.tree.index[k as usize] }
     }
 
     /// Distance to the surface if it is less than `reach`.
     pub fn distance_within(&self, x: Vec3<f64>, reach: f64) -> Option<f64> {
-        let d2 = self.nearest(x, reach * reach).0;
+        let d2 = nearest(&self.tree, x, reach * reach).0;
         (d2 < reach * reach).then(|| d2.sqrt())
-    }
-
-    /// Squared distance, point and place in the tree of the nearest triangle nearer than `√limit2`; `limit2` if there is none.
-    fn nearest(&self, x: Vec3<f64>, limit2: f64) -> (f64, Vec3<f64>, u32) {
-        let mut best = (limit2, self.tree.triangles[0][0], 0);
-        let mut stack = [(0u32, 0.0f64); DEPTH];
-        stack[0] = (0, self.tree.nodes[0].distance2(x));
-        let mut top = 1;
-        while top > 0 {
-            top -= 1;
-            let (n, d2) = stack[top];
-            if d2 >= best.0 {
-                continue;
-            }
-            let node = &self.tree.nodes[n as usize];
-            if node.second == 0 {
-                for k in node.first..node.first + node.count {
-                    let point = closest_on(&self.tree.triangles[k as usize], x);
-                    let offset = vec3::sub(point, x);
-                    let d2 = vec3::dot(offset, offset);
-                    if d2 < best.0 {
-                        best = (d2, point, k);
-                    }
-                }
-            } else {
-                let [a, b] = [n + 1, node.second].map(|c| (c, self.tree.nodes[c as usize].distance2(x)));
-                // The nearer child is looked at first: it is on top.
-                (stack[top], stack[top + 1]) = if a.1 <= b.1 { (b, a) } else { (a, b) };
-                top += 2;
-            }
-        }
-        best
     }
 
     /// Generalised winding number: ±1 inside, 0 outside.
@@ -174,8 +139,64 @@ impl MeshDistance {
     }
 }
 
-/// The point of a triangle nearest to `x`, by the region of the plane that `x` lies above (Ericson 2005, §5.1.5).
+/// The triangles of a mesh by their corners; fails for corners that are missing or not finite.
+pub(crate) fn triangles_of(mesh: &Mesh) -> Result<Vec<Triangle>, MeshError> {
+    let corner = |triangle: usize, vertex: u32| match mesh.positions.get(vertex as usize) {
+        None => Err(MeshError::Vertex { triangle, vertex, vertices: mesh.positions.len() }),
+        Some(x) if x.iter().all(|v| v.is_finite()) => Ok(vec3::cast::<f32, f64>(*x)),
+        Some(&position) => Err(MeshError::NotFinite { vertex, position }),
+    };
+    mesh.triangles.iter().enumerate().map(|(k, t)| Ok([corner(k, t[0])?, corner(k, t[1])?, corner(k, t[2])?])).collect()
+}
+
+/// The part of a triangle that a point lies on: its inside, edge 0–2 (`ab`, `bc`, `ca`), corner 0–2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Feature {
+    Face,
+    Edge(usize),
+    Corner(usize),
+}
+
+/// Squared distance, point and place in the tree of the nearest triangle nearer than `√limit2`; `limit2` if there is none.
+pub(crate) fn nearest(tree: &Bvh, x: Vec3<f64>, limit2: f64) -> (f64, Vec3<f64>, u32) {
+    let mut best = (limit2, tree.triangles[0][0], 0);
+    let mut stack = [(0u32, 0.0f64); DEPTH];
+    stack[0] = (0, tree.nodes[0].distance2(x));
+    let mut top = 1;
+    while top > 0 {
+        top -= 1;
+        let (n, d2) = stack[top];
+        if d2 >= best.0 {
+            continue;
+        }
+        let node = &tree.nodes[n as usize];
+        if node.second == 0 {
+            for k in node.first..node.first + node.count {
+                let point = closest_on(&tree.triangles[k as usize], x);
+                let offset = vec3::sub(point, x);
+                let d2 = vec3::dot(offset, offset);
+                if d2 < best.0 {
+                    best = (d2, point, k);
+                }
+            }
+        } else {
+            let [a, b] = [n + 1, node.second].map(|c| (c, tree.nodes[c as usize].distance2(x)));
+            // The nearer child is looked at first: it is on top.
+            (stack[top], stack[top + 1]) = if a.1 <= b.1 { (b, a) } else { (a, b) };
+            top += 2;
+        }
+    }
+    best
+}
+
+/// The point of a triangle nearest to `x`.
 fn closest_on(t: &Triangle, x: Vec3<f64>) -> Vec3<f64> {
+    closest_feature(t, x).0
+}
+
+/// The point of a triangle nearest to `x` and what it lies on, by the region of the plane that `x` lies above (Ericson 2005, §5.1.5).
+#[inline(always)]
+pub(crate) fn closest_feature(t: &Triangle, x: Vec3<f64>) -> (Vec3<f64>, Feature) {
     let [a, b, c] = *t;
     let (ab, ac) = (vec3::sub(b, a), vec3::sub(c, a));
     let from = |corner| {
@@ -184,32 +205,32 @@ fn closest_on(t: &Triangle, x: Vec3<f64>) -> Vec3<f64> {
     };
     let (a1, a2) = from(a);
     if a1 <= 0.0 && a2 <= 0.0 {
-        return a;
+        return (a, Feature::Corner(0));
     }
     let (b1, b2) = from(b);
     if b1 >= 0.0 && b2 <= b1 {
-        return b;
+        return (b, Feature::Corner(1));
     }
     let (c1, c2) = from(c);
     if c2 >= 0.0 && c1 <= c2 {
-        return c;
+        return (c, Feature::Corner(2));
     }
     // Twice the signed areas of the parts opposite to each corner.
     let along_ab = a1 * b2 - b1 * a2;
     if along_ab <= 0.0 && a1 >= 0.0 && b1 <= 0.0 && a1 - b1 > 0.0 {
-        return vec3::add_scaled(a, ab, a1 / (a1 - b1));
+        return (vec3::add_scaled(a, ab, a1 / (a1 - b1)), Feature::Edge(0));
     }
     let along_ac = c1 * a2 - a1 * c2;
     if along_ac <= 0.0 && a2 >= 0.0 && c2 <= 0.0 && a2 - c2 > 0.0 {
-        return vec3::add_scaled(a, ac, a2 / (a2 - c2));
+        return (vec3::add_scaled(a, ac, a2 / (a2 - c2)), Feature::Edge(2));
     }
     let along_bc = b1 * c2 - c1 * b2;
     let (toward_c, toward_b) = (b2 - b1, c1 - c2);
     if along_bc <= 0.0 && toward_c >= 0.0 && toward_b >= 0.0 && toward_c + toward_b > 0.0 {
-        return vec3::add_scaled(b, vec3::sub(c, b), toward_c / (toward_c + toward_b));
+        return (vec3::add_scaled(b, vec3::sub(c, b), toward_c / (toward_c + toward_b)), Feature::Edge(1));
     }
     let sum = along_bc + along_ac + along_ab;
-    vec3::add_scaled(vec3::add_scaled(a, ab, along_ac / sum), ac, along_ab / sum)
+    (vec3::add_scaled(vec3::add_scaled(a, ab, along_ac / sum), ac, along_ab / sum), Feature::Face)
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ mod field;
 mod heightfield;
 mod mesh_field;
 mod shape;
+mod sheet;
 mod sweep;
 mod winding;
 
@@ -18,3 +19,4 @@ pub use field::Field;
 pub use heightfield::Heightfield;
 pub use mesh_field::{MeshField, mesh_field};
 pub use shape::Shape;
+pub use sheet::{OnSheet, Sheet};

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use megas_math::{Mat3, Vec3, mat3, vec3};
 
-use crate::{Field, Heightfield};
+use crate::{Field, Heightfield, Sheet};
 
 /// Upwards; stands in for directions that have no length.
 const UP: Vec3<f64> = [0.0, 0.0, 1.0];
@@ -57,6 +57,8 @@ pub enum Shape {
     Heightfield(Arc<Heightfield>),
     /// Distances sampled on a grid: a triangle mesh, a reconstructed background.
     Field(Arc<Field>),
+    /// A thin sheet: it has no inside.
+    Sheet(Arc<Sheet>),
 }
 
 impl Shape {
@@ -99,6 +101,10 @@ impl Shape {
             }
             Shape::Heightfield(h) => h.distance(x),
             Shape::Field(f) => f.distance(x),
+            Shape::Sheet(s) => s.near(x, f64::INFINITY).map_or((f64::INFINITY, UP), |at| {
+                let side = if at.distance < 0.0 { -1.0 } else { 1.0 };
+                (at.distance.abs(), vec3::scale(at.normal, side))
+            }),
         }
     }
 
@@ -115,6 +121,10 @@ impl Shape {
             Shape::Cylinder { a, b, .. } | Shape::Capsule { a, b, .. } => vec3::lerp(*a, *b, 0.5),
             Shape::Heightfield(h) => h.center(),
             Shape::Field(f) => f.center(),
+            Shape::Sheet(s) => {
+                let (lo, hi) = s.bounds();
+                vec3::lerp(lo, hi, 0.5)
+            }
         }
     }
 
@@ -128,6 +138,7 @@ impl Shape {
             Shape::Cylinder { a, b, radius } => Some(PI * radius * radius * vec3::norm(vec3::sub(*b, *a))),
             Shape::Capsule { a, b, radius } => Some(PI * radius * radius * (vec3::norm(vec3::sub(*b, *a)) + 4.0 / 3.0 * radius)),
             Shape::Field(f) => Some(f.volume()),
+            Shape::Sheet(_) => Some(0.0),
         }
     }
 
@@ -142,6 +153,7 @@ impl Shape {
                 Some((vec3::sub(vec3::min(*a, *b), [*radius; 3]), vec3::add(vec3::max(*a, *b), [*radius; 3])))
             }
             Shape::Field(f) => Some(f.bounds()),
+            Shape::Sheet(s) => Some(s.bounds()),
         }
     }
 }

@@ -1,7 +1,9 @@
 //! From the scene's colliders to the simulator's.
 
+use std::sync::Arc;
+
 use megas_scene::{Background, CELSIUS_K, ColliderMode, ColliderShape, Scene};
-use megas_sim::collider::{Collider, Conductor, Mode, Shape, Thermal};
+use megas_sim::collider::{Collider, Conductor, Mode, Shape, Sheet, Thermal};
 
 use crate::Failure;
 use crate::background::background_shape;
@@ -36,6 +38,7 @@ pub fn colliders(scene: &Scene, bodies: &Bodies, meshes: &Meshes<'_>) -> Result<
         });
     }
     for (k, c) in scene.colliders.iter().enumerate() {
+        let shape = if c.thin { sheet(c, meta, meshes)? } else { shape(c, meta, meshes)? };
         out.push(Collider {
             name: if c.name.is_empty() { format!("number {}", k + 1) } else { format!("'{}'", c.name) },
             mode: mode(c.mode),
@@ -44,7 +47,7 @@ pub fn colliders(scene: &Scene, bodies: &Bodies, meshes: &Meshes<'_>) -> Result<
             thermal: thermal(c, scene.ambient_k()),
             motion: motion(&c.motion, c.frame, &meta.placement()),
             active: c.active_s.clone(),
-            ..Collider::new(shape(c, meta, meshes)?)
+            ..Collider::new(shape)
         });
     }
     Ok(out)
@@ -80,6 +83,18 @@ fn thermal(c: &megas_scene::Collider, ambient_k: f64) -> Thermal {
         }),
         (None, None, None) => Thermal::Adiabatic,
     }
+}
+
+/// A thin collider.
+fn sheet(c: &megas_scene::Collider, meta: &BodyMeta, meshes: &Meshes<'_>) -> Result<Shape, Failure> {
+    if let ColliderShape::Mesh(m) = &c.shape {
+        return meshes.sheet(c.frame, m);
+    }
+    let Shape::Box { center, half, axes } = shape(c, meta, meshes)? else {
+        return Err(Failure::Input("collider.thin: only a mesh or a box can be thin".into()));
+    };
+    let sheet = Sheet::across_box(center, half, axes).map_err(|e| Failure::Input(format!("collider.shape.box: {e}")))?;
+    Ok(Shape::Sheet(Arc::new(sheet)))
 }
 
 fn shape(c: &megas_scene::Collider, meta: &BodyMeta, meshes: &Meshes<'_>) -> Result<Shape, Failure> {

@@ -71,3 +71,26 @@ fn what_is_dropped_falls_in_the_film_and_not_before_it() {
     loaded.scene.simulation.settle_s = 0.0;
     assert!(!notes(&loaded).0.contains("would sink"));
 }
+
+#[test]
+fn a_mesh_can_be_a_thin_collider_unless_it_is_closed() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = dir.path().join("scene.toml");
+    let run = |obj: &str| {
+        std::fs::write(dir.path().join("leaf.obj"), obj).unwrap();
+        let text = "[[input.body]]\nname = \"ball\"\nform = \"ball\"\nsize_m = [0.05, 0.05, 0.05]\ncenter_m = [0.0, 0.0, 0.06]\n\
+                    [[object]]\nname = \"wax\"\nparts = [\"ball\"]\n\
+                    [[collider]]\nframe = \"scene\"\nshape = { mesh = { file = \"leaf.obj\" } }\nthin = true\n";
+        std::fs::write(&scene, text).unwrap();
+        let mut loaded = LoadedScene::open(&scene).unwrap();
+        loaded.scene.simulation.cells = Some(12);
+        loaded.scene.time.duration_s = 0.1;
+        let options = Options { out: dir.path().join("out"), force: true, threads: None };
+        megas_pipeline::simulate(&loaded, &options, &Quiet)
+    };
+    let corners = "v -0.05 -0.05 0.03\nv 0.05 -0.05 0.03\nv 0.05 0.05 0.03\nv -0.05 0.05 0.03\nv 0 0 0.02\n";
+    let leaf = format!("{corners}f 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n");
+    assert_eq!(run(&leaf).unwrap()["repairs"], 0);
+    let error = run(&format!("{leaf}f 1 3 2\nf 1 4 3\n")).unwrap_err().to_string();
+    assert!(error.contains("leaf.obj: the mesh is closed") && error.contains("single layer of triangles, or leave out thin"), "{error}");
+}

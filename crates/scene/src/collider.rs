@@ -80,6 +80,10 @@ pub struct Collider {
     /// What the coordinates of `shape` mean: "object" or "scene".
     #[serde(default)]
     pub frame: Frame,
+    /// A sheet without thickness that holds matter on both of its sides apart (a leaf, a blade, a tray): a mesh of a single open layer of
+    /// triangles, or a box, of which the rectangle across its thinnest side counts. Heat passes as if it were not there. At most 16.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub thin: bool,
     /// How material behaves at its surface.
     #[serde(default)]
     pub mode: ColliderMode,

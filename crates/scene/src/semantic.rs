@@ -11,6 +11,9 @@ use crate::scene::Scene;
 use crate::shape::{BoxShape, MeshShape, Tube};
 use crate::still::BodyForm;
 
+/// Most thin colliders of a scene.
+const MAX_THIN: usize = 16;
+
 /// Something wrong, and where.
 pub(crate) struct Problem {
     pub(crate) path: Vec<Step>,
@@ -52,6 +55,11 @@ pub(crate) fn problems(scene: &Scene) -> Vec<Problem> {
     }
     for (i, c) in scene.colliders.iter().enumerate() {
         r.inside("collider", Some(i), |r| collider(c, r));
+        if c.thin && scene.colliders[..i].iter().filter(|c| c.thin).count() == MAX_THIN {
+            r.inside("collider", Some(i), |r| {
+                r.say("thin", format!("collider.thin: at most {MAX_THIN} colliders can be thin; join meshes"))
+            });
+        }
     }
     for (i, c) in scene.cameras.iter().enumerate() {
         r.inside("camera", Some(i), |r| camera(c, r));
@@ -361,6 +369,9 @@ fn collider(c: &Collider, r: &mut Report) {
         }
         ColliderShape::Sphere(_) | ColliderShape::Capsule(_) => {}
     }
+    if c.thin && !matches!(c.shape, ColliderShape::Mesh(_) | ColliderShape::Box(_)) {
+        r.say("thin", "collider.thin: only a mesh (one open layer of triangles) or a box can be thin; leave out thin or use one of them");
+    }
     let given = [
         ("temperature_c", c.temperature_c.is_some()),
         ("temperature_keyframes", !c.temperature_keyframes.is_empty()),
@@ -369,6 +380,9 @@ fn collider(c: &Collider, r: &mut Report) {
     let given: Vec<&str> = given.iter().filter(|g| g.1).map(|g| g.0).collect();
     if let [first, .., last] = given[..] {
         r.say(last, format!("collider: {first} and {last} exclude each other; give one"));
+    }
+    if let (true, [first, ..]) = (c.thin, &given[..]) {
+        r.say(first, format!("collider.{first}: heat passes a thin collider as if it were not there; leave out {first} or thin"));
     }
     let k = &c.temperature_keyframes;
     if k.windows(2).any(|w| w[0][0] >= w[1][0]) {

@@ -79,7 +79,8 @@ pub struct Plane {
     pub normal: [f64; 3],
 }
 
-/// A triangle mesh out of a file (.ply, .obj or .glb). Holes do no harm; parts thinner than two cells become two cells thick.
+/// A triangle mesh out of a file (.ply, .obj or .glb). Holes do no harm; parts thinner than two cells become two cells thick, unless the
+/// collider is `thin`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeshShape {

@@ -74,6 +74,10 @@ shape = { capsule = { from = [0, 0, 0.5], to = [1, 0, 0.5], radius = 0.02 } }
 mode = "slip"
 temperature_c = 90
 
+[[collider]]
+shape = { box = { min = [0, 0, 0.5], max = [1, 1, 0.51] } }
+thin = true
+
 [time]
 duration_s = 3
 acceleration = 50

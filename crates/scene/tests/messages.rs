@@ -106,6 +106,16 @@ fn contradictions_are_found() {
     );
     only("[[camera]]\nname = \"a/b\"", "s.toml:3:1: camera.name = \"a/b\" becomes part of file names; use letters, digits, - and _");
     only("[[collider]]\nshape.box = { min = [0, 0, 0], max = [1, 0, 1] }", "s.toml:3:15: box: min 0 is not below max 0 along y");
+    only(
+        "[[collider]]\nthin = true\nshape.sphere = { center = [0, 0, 0], radius = 1 }",
+        "s.toml:3:1: collider.thin: only a mesh (one open layer of triangles) or a box can be thin; leave out thin or use one of them",
+    );
+    only(
+        "[[collider]]\nthin = true\ntemperature_c = 90\nshape.mesh = { file = \"leaf.obj\" }",
+        "s.toml:4:1: collider.temperature_c: heat passes a thin collider as if it were not there; leave out temperature_c or thin",
+    );
+    let leaves = "[[collider]]\nthin = true\nshape.mesh = { file = \"leaf.obj\" }\n".repeat(17);
+    only(&leaves, "s.toml:51:1: collider.thin: at most 16 colliders can be thin; join meshes");
     only("[[heat]]\nschedule = { start_s = 2, end_s = 1 }", "s.toml:3:27: heat.schedule.end_s = 1 must be after start_s = 2");
 }
 

@@ -1,6 +1,7 @@
 //! Solid obstacles as conditions on nodes (simulation.md §6.1, §6.3): motion, contact modes, friction, what they do to heat.
 
-pub use megas_geometry::Shape;
+use megas_geometry::OnSheet;
+pub use megas_geometry::{Shape, Sheet};
 use megas_math::{Vec3, vec3};
 use serde::{Deserialize, Serialize};
 
@@ -53,13 +54,14 @@ pub struct Conductor {
 pub struct Collider {
     /// Name for messages.
     pub name: String,
-    /// Geometry.
+    /// Geometry. A [`Shape::Sheet`] holds matter on both of its sides apart; there may be [`MAX_SHEETS`] of them, the others are not
+    /// there. It does nothing to heat.
     pub shape: Shape,
     /// Contact rule.
     pub mode: Mode,
     /// Coulomb friction of [`Mode::Separate`], ≥ 0.
     pub friction: f64,
-    /// Nodes with a distance below this are in contact \[node spacings\]; −0.5 for visual contact, 0 for analytic tests.
+    /// Nodes with a distance below this are in contact \[node spacings\]; −0.5 for visual contact, 0 for analytic tests, 0.5 for sheets.
     pub offset: f64,
     /// [`Mode::Separate`] turns sticky where more than half of the node's mass is liquid.
     pub melt_sticks: bool,
@@ -74,20 +76,31 @@ pub struct Collider {
 /// Contact level of scene colliders \[node spacings\]: the kernel sees a wall half a node early.
 pub const SCENE_CONTACT_OFFSET: f64 = -0.5;
 
+/// Contact level of sheets \[node spacings\]: nodes up to half a spacing before them are held, and all that are felt through them; so a
+/// sheet is where it is, on the average over its places between nodes.
+pub const SHEET_CONTACT_OFFSET: f64 = 0.5;
+
 impl Collider {
-    /// A scene collider: at rest, separate, friction 0.4, half a spacing of overlap, melts stick, adiabatic.
+    /// A scene collider: at rest, separate, friction 0.4, half a spacing of overlap (a sheet is felt half a spacing early), melts stick,
+    /// adiabatic.
     pub fn new(shape: Shape) -> Self {
+        let offset = if matches!(shape, Shape::Sheet(_)) { SHEET_CONTACT_OFFSET } else { SCENE_CONTACT_OFFSET };
         Self {
             name: String::new(),
             shape,
             mode: Mode::Separate,
             friction: 0.4,
-            offset: SCENE_CONTACT_OFFSET,
+            offset,
             melt_sticks: true,
             motion: Motion::default(),
             active: Vec::new(),
             thermal: Thermal::Adiabatic,
         }
+    }
+
+    /// True for a thin sheet.
+    pub fn is_sheet(&self) -> bool {
+        matches!(self.shape, Shape::Sheet(_))
     }
 
     /// True if it is always there and never moves.
@@ -115,17 +128,33 @@ impl Collider {
     }
 }
 
+/// Most sheets in a list of colliders: points remember a side of each.
+pub const MAX_SHEETS: usize = 16;
+
 /// An obstacle where it is now.
 pub(crate) struct Placed<'a> {
     /// Its place in the list.
     pub index: u16,
+    /// Its number among the sheets of the list, whether they are there or not; `None` for one with an inside.
+    pub sheet: Option<u8>,
     pub collider: &'a Collider,
     pub pose: Pose,
 }
 
 /// The obstacles that exist at `time`.
 pub(crate) fn placed(colliders: &[Collider], time: f64) -> Vec<Placed<'_>> {
-    colliders.iter().enumerate().filter_map(|(k, collider)| Some(Placed { index: k as u16, collider, pose: collider.at(time)? })).collect()
+    let mut numbers = 0..MAX_SHEETS as u8;
+    let mut out = Vec::with_capacity(colliders.len());
+    for (k, collider) in colliders.iter().enumerate() {
+        let sheet = if collider.is_sheet() { numbers.next() } else { None };
+        // A sheet without a number is one too many.
+        if collider.is_sheet() == sheet.is_some()
+            && let Some(pose) = collider.at(time)
+        {
+            out.push(Placed { index: k as u16, sheet, collider, pose });
+        }
+    }
+    out
 }
 
 impl Placed<'_> {
@@ -137,9 +166,14 @@ impl Placed<'_> {
 
     /// The contact of a node at `x`, if it is held.
     pub fn contact(&self, node: u8, x: Vec3<f64>, spacing: f64) -> Option<Contact> {
-        let c = self.collider;
         let (d, normal) = self.distance(x);
-        (d < c.offset * spacing).then(|| Contact {
+        (self.sheet.is_none() && d < self.collider.offset * spacing).then(|| self.contact_with(node, normal, x))
+    }
+
+    /// What a node feels that is held where the obstacle is at `x` and faces `normal`.
+    pub fn contact_with(&self, node: u8, normal: Vec3<f64>, x: Vec3<f64>) -> Contact {
+        let c = self.collider;
+        Contact {
             node,
             collider: self.index,
             mode: c.mode,
@@ -147,7 +181,14 @@ impl Placed<'_> {
             friction: c.friction as f32,
             normal: vec3::cast(normal),
             velocity: vec3::cast(self.pose.velocity_at(x)),
-        })
+        }
+    }
+
+    /// Where `x` is against this sheet, if that is nearer than `reach` \[m\].
+    pub fn on_sheet(&self, x: Vec3<f64>, reach: f64) -> Option<OnSheet> {
+        let Shape::Sheet(sheet) = &self.collider.shape else { return None };
+        let at = sheet.near(self.pose.home(x), reach)?;
+        Some(OnSheet { normal: self.pose.turned(at.normal), point: self.pose.now(at.point), ..at })
     }
 }
 

@@ -53,17 +53,31 @@ pub fn stencil<T: Real>(grid: &Grid, xi: Vec3<T>, mut f: impl FnMut(usize, T, Ve
 
 /// P2G with the stress that `stress` gives each point.
 pub fn p2g<T: Real>(grid: &Grid, points: &[Point<T>], dt: T, stress: impl Fn(usize) -> Mat3<T>) -> Nodes<T> {
-    let mut nodes = Nodes { mass: vec![T::zero(); grid.len()], motion: vec![[T::zero(); 3]; grid.len()] };
+    let [nodes] = p2g_parted(grid, points, dt, stress, |_, _| 0);
+    nodes
+}
+
+/// P2G onto several sets of nodes (simulation.md §6.2): `set(p, node)` is the one in which point `p` finds a node.
+pub fn p2g_parted<T: Real, const SETS: usize>(
+    grid: &Grid,
+    points: &[Point<T>],
+    dt: T,
+    stress: impl Fn(usize) -> Mat3<T>,
+    set: impl Fn(usize, usize) -> usize,
+) -> [Nodes<T>; SETS] {
+    let empty = || Nodes { mass: vec![T::zero(); grid.len()], motion: vec![[T::zero(); 3]; grid.len()] };
+    let mut sets: [Nodes<T>; SETS] = std::array::from_fn(|_| empty());
     let d = T::of(4.0 / (grid.spacing * grid.spacing));
     for (p, point) in points.iter().enumerate() {
         let a = mat3::add(mat3::scale(stress(p), -dt * point.volume * d), mat3::scale(point.affine, point.mass));
         let mv = vec3::scale(point.velocity, point.mass);
         stencil(grid, point.xi, |node, w, d| {
+            let nodes = &mut sets[set(p, node)];
             nodes.mass[node] += w * point.mass;
             nodes.motion[node] = vec3::add_scaled(nodes.motion[node], vec3::add(mv, mat3::mul_vec(a, d)), w);
         });
     }
-    nodes
+    sets
 }
 
 /// Momenta to velocities, plus `dt · gravity`.
@@ -77,12 +91,18 @@ pub fn update<T: Real>(nodes: &mut Nodes<T>, dt: T, gravity: Vec3<T>) {
 
 /// Velocity and affine matrix at a position.
 pub fn g2p<T: Real>(grid: &Grid, nodes: &Nodes<T>, xi: Vec3<T>) -> (Vec3<T>, Mat3<T>) {
+    g2p_parted(grid, std::slice::from_ref(nodes), xi, |_| 0)
+}
+
+/// G2P out of several sets of nodes: `set(node)` is the one in which the point finds a node.
+pub fn g2p_parted<T: Real>(grid: &Grid, sets: &[Nodes<T>], xi: Vec3<T>, set: impl Fn(usize) -> usize) -> (Vec3<T>, Mat3<T>) {
     let mut v = [T::zero(); 3];
     let mut c = [[T::zero(); 3]; 3];
     let scale = T::of(4.0 / (grid.spacing * grid.spacing));
     stencil(grid, xi, |node, w, d| {
-        v = vec3::add_scaled(v, nodes.motion[node], w);
-        c = mat3::add(c, mat3::scale(mat3::outer(nodes.motion[node], d), w * scale));
+        let motion = sets[set(node)].motion[node];
+        v = vec3::add_scaled(v, motion, w);
+        c = mat3::add(c, mat3::scale(mat3::outer(motion, d), w * scale));
     });
     (v, c)
 }

@@ -16,6 +16,7 @@ pub mod page;
 pub mod robustness;
 pub mod rotation;
 pub mod run;
+pub mod sheets;
 pub mod slumps;
 pub mod splats;
 mod text;
@@ -97,6 +98,7 @@ pub fn cases() -> Vec<Case> {
         air::CASES,
         heat::CASES,
         mechanics::CASES,
+        sheets::CASES,
         rotation::CASES,
         elastic::CASES,
         flows::CASES,

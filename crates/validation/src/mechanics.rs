@@ -339,7 +339,8 @@ const SLIDE: Grid = Grid { origin: [-0.5, -0.3, -0.9], spacing: 0.02, nodes: [90
 /// Time after which the block of [`slide`] lies still \[s\].
 const SETTLED: f64 = 0.2;
 
-fn slide_on(collider: Collider, gravity: [f64; 3], frame: Mat3<f64>, seconds: f64) -> (f64, f64, f64) {
+/// The same on any obstacle.
+pub(crate) fn slide_on(collider: Collider, gravity: [f64; 3], frame: Mat3<f64>, seconds: f64) -> (f64, f64, f64) {
     let (grid, dx) = (SLIDE, SLIDE.spacing);
     let (shear, bulk) = moduli(1e6, 0.3);
     let mut p = block(&grid, [-0.08, -0.08, 0.0], [0.08, 0.08, 0.08], 1000.0, shear, bulk);

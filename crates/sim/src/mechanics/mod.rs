@@ -8,6 +8,7 @@
 mod laws;
 mod nodes;
 mod pass;
+mod sheets;
 mod time_step;
 mod transfer;
 mod view;
@@ -26,6 +27,7 @@ use crate::particles::Particles;
 pub use laws::{material_point, material_point_with};
 use nodes::{GridStep, Nodes};
 use pass::{Outcome, Sweep, sweep};
+use sheets::{put_back, take_sides};
 pub use time_step::TimeStep;
 use transfer::Tile;
 use view::{View, views};
@@ -212,7 +214,11 @@ impl Mechanics {
             while left > 0 {
                 particles.sort();
                 let now = self.time + (steps - left) as f64 * dt;
-                self.nodes.rebuild(&self.grid, particles.blocks(), &placed(&self.colliders, now));
+                let placed = placed(&self.colliders, now);
+                if self.has_sheets() {
+                    take_sides(&self.grid, particles, &sheets_of(&placed));
+                }
+                self.nodes.rebuild(&self.grid, particles.blocks(), &placed, &particles.sides);
                 let mut blocks = views(particles);
                 if self.nodes.wants_liquid() {
                     self.find_liquid(&mut blocks);
@@ -245,6 +251,10 @@ impl Mechanics {
             energy_removed: outcome.removed,
             escaped,
         }
+    }
+
+    fn has_sheets(&self) -> bool {
+        self.colliders.iter().any(Collider::is_sheet)
     }
 
     /// Substeps after which an obstacle may have moved by half a node spacing, so that its contacts are out of date.
@@ -302,22 +312,34 @@ impl Mechanics {
         let constants = self.constants(dt);
         let level = self.level;
         let mut tiles = std::mem::take(&mut self.nodes.tiles);
+        let mut near = std::mem::take(&mut self.nodes.near);
+        near.resize_with(blocks.len(), || None);
         let nodes = &self.nodes;
         let found: Vec<Outcome> = blocks
             .par_iter_mut()
             .zip(tiles.par_iter_mut())
+            .zip(near.par_iter_mut())
             .enumerate()
             .map_init(
                 || Box::new(Tile::ZERO),
-                |from, (index, (view, (to, regions)))| {
+                |from, (index, ((view, (to, regions)), near))| {
                     if SCATTER {
                         to.0.fill(0.0);
                     }
+                    let mut near = near.as_deref_mut();
                     let (outcome, touched) = dispatch!(level, s => {
                         if GATHER {
                             nodes.load_tile(s, index, from);
                         }
-                        sweep::<_, GATHER, SCATTER>(s, view, from, to, &constants)
+                        if let Some(near) = near.as_deref_mut() {
+                            if GATHER {
+                                nodes.load_layers(s, near);
+                            }
+                            if SCATTER {
+                                near.clear();
+                            }
+                        }
+                        sweep::<_, GATHER, SCATTER>(s, view, from, to, near, &constants)
                     });
                     *regions = touched;
                     outcome
@@ -325,6 +347,7 @@ impl Mechanics {
             )
             .collect();
         self.nodes.tiles = tiles;
+        self.nodes.near = near;
         found.into_iter().fold(Outcome::NEUTRAL, Outcome::merge)
     }
 
@@ -337,29 +360,46 @@ impl Mechanics {
         let fastest: Vec<f32> =
             values.par_iter_mut().enumerate().map(|(i, out)| dispatch!(level, s => nodes.advance(s, i, out, &step))).collect();
         self.nodes.values = values;
-        fastest.into_iter().fold(0.0, f32::max)
+        let mut ghosts = std::mem::take(&mut self.nodes.ghosts);
+        let nodes = &self.nodes;
+        let beside: Vec<f32> = ghosts.par_iter_mut().map(|g| dispatch!(level, s => nodes.advance_ghost(s, g, &step))).collect();
+        self.nodes.ghosts = ghosts;
+        fastest.into_iter().chain(beside).fold(0.0, f32::max)
     }
 
     /// Liquid share of the node masses near obstacles, once per sort: P2G of `m f_l` in place of momentum.
     fn find_liquid(&mut self, blocks: &mut [View]) {
         let level = self.level;
         let mut tiles = std::mem::take(&mut self.nodes.tiles);
-        blocks.par_iter().zip(tiles.par_iter_mut()).for_each(|(view, (to, regions))| {
+        let mut near = std::mem::take(&mut self.nodes.near);
+        near.resize_with(blocks.len(), || None);
+        blocks.par_iter().zip(tiles.par_iter_mut()).zip(near.par_iter_mut()).for_each(|((view, (to, regions)), near)| {
             to.0.fill(0.0);
-            *regions = pass::scatter_liquid(view, to);
+            let mut near = near.as_deref_mut();
+            if let Some(near) = near.as_deref_mut() {
+                near.clear();
+            }
+            *regions = pass::scatter_liquid(view, to, near);
         });
         self.nodes.tiles = tiles;
+        self.nodes.near = near;
         let nodes = &self.nodes;
         let shares: Vec<_> = (0..nodes.info.len()).into_par_iter().map(|i| nodes.liquid_share(level, i)).collect();
         self.nodes.set_liquid(shares);
+        let mut ghosts = std::mem::take(&mut self.nodes.ghosts);
+        let nodes = &self.nodes;
+        ghosts.par_iter_mut().for_each(|g| nodes.find_ghost_liquid(level, g));
+        self.nodes.ghosts = ghosts;
     }
 
-    /// Moves points that are deeper than one node spacing inside an obstacle to its surface and removes their inward velocity.
+    /// Moves points that are deeper than one node spacing inside an obstacle to its surface and removes their inward velocity; the same
+    /// for points that got through a sheet.
     fn project_out(&self, particles: &mut Particles) -> u64 {
-        let mut count = 0;
-        let colliders = placed(&self.colliders, self.time);
+        let mut colliders = placed(&self.colliders, self.time);
+        let mut count = put_back(&self.grid, particles, &sheets_of(&colliders));
+        colliders.retain(|c| c.sheet.is_none());
         if colliders.is_empty() {
-            return 0;
+            return count;
         }
         let dx = self.grid.spacing;
         // Only blocks that reach deep enough; points have drifted by at most a cell since the sort.
@@ -392,6 +432,11 @@ impl Mechanics {
     pub fn for_each_node(&self, f: impl FnMut([usize; 3], f32, [f32; 3])) {
         self.nodes.for_each(&self.grid, f);
     }
+}
+
+/// The sheets among obstacles.
+fn sheets_of<'a, 'b>(placed: &'a [Placed<'b>]) -> Vec<&'a Placed<'b>> {
+    placed.iter().filter(|c| c.sheet.is_some()).collect()
 }
 
 /// Takes a point out of the simulation: it has neither mass nor motion from now on.

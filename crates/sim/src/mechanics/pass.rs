@@ -8,6 +8,7 @@ use megas_math::{Mat3, mat3, svd};
 use megas_model::{FLAG_ESCAPED, FLAG_REPAIRED};
 
 use super::laws::{Flow, Laws, Mask, Parameters, advance_fluid, respond};
+use super::sheets::Near;
 use super::transfer::{CHUNK, Stencils, TILE, TILE_ORIGIN, Tile, complete_tracer, gather, scatter};
 use super::view::View;
 use super::{Bounds, Repairs};
@@ -157,13 +158,14 @@ fn fill_stencils<S: Simd>(s: S, st: &mut Stencils, at: usize, cell: S::u32s, g: 
 }
 
 /// Points of the block, one sweep. With `GATHER`, velocities are read from `from`, and points move and deform; with `SCATTER`
-/// their momenta and stresses go to `to`, whose touched regions are returned.
+/// their momenta and stresses go to `to`, whose touched regions are returned. `near` is there for blocks that sheets run through.
 #[inline(always)]
 pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
     s: S,
     view: &mut View,
     from: &Tile,
     to: &mut Tile,
+    mut near: Option<&mut Near>,
     k: &Sweep,
 ) -> (Outcome, u32) {
     let count = view.cell.len();
@@ -189,11 +191,18 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
                 let cell = load_cells(s, view.cell, at.min(count));
                 fill_stencils(s, &mut stencils, sub, cell, g, corner);
             }
-            gather(s, from, &stencils, valid, &mut records);
+            let sides = &view.sides[base..base + valid];
+            match near.as_deref().filter(|n| n.parts(&stencils, sides)) {
+                None => gather(s, from, &stencils, valid, &mut records),
+                Some(near) => near.gather(from, &stencils, sides, &mut records),
+            }
             records[valid..].fill(Record::ZERO);
             for p in 0..valid {
-                if view.mass[base + p] == 0.0 && complete_tracer(from, &stencils, p, &mut records[p]) {
-                    view.flags[base + p] |= FLAG_ESCAPED;
+                if view.mass[base + p] == 0.0 {
+                    let mass_at = |o: usize| near.as_deref().map_or(from.0[o + 3], |n| n.value(from, sides[p], o)[3]);
+                    if complete_tracer(mass_at, &stencils, p, &mut records[p]) {
+                        view.flags[base + p] |= FLAG_ESCAPED;
+                    }
                 }
             }
         }
@@ -341,7 +350,11 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
             }
         }
         if SCATTER {
-            regions |= scatter(s, to, &stencils, valid, &records);
+            let sides = &view.sides[base..base + valid];
+            regions |= match near.as_deref_mut().filter(|n| n.parts(&stencils, sides)) {
+                None => scatter(s, to, &stencils, valid, &records),
+                Some(near) => near.scatter(to, &stencils, sides, &records),
+            };
         }
     }
     outcome.speed2 = speed2.reduce_max();
@@ -468,7 +481,7 @@ fn repair<S: Simd>(_s: S, view: &mut View, at: usize, mut lanes: u64, h: &mut Ma
 }
 
 /// P2G of `[m f_l, 0, 0, m]`: how much of each node's mass is liquid. Once per sort, so one point at a time.
-pub(crate) fn scatter_liquid(view: &View, to: &mut Tile) -> u32 {
+pub(crate) fn scatter_liquid(view: &View, to: &mut Tile, mut near: Option<&mut Near>) -> u32 {
     for (p, &packed) in view.cell.iter().enumerate() {
         let cell = unpack(packed);
         let m = view.mass[p];
@@ -482,8 +495,13 @@ pub(crate) fn scatter_liquid(view: &View, to: &mut Tile) -> u32 {
                 for k in 0..3 {
                     let weight = w[0][i] * w[1][j] * w[2][k] * m;
                     let o = (((first[0] + i) * TILE + first[1] + j) * TILE + first[2] + k) * 4;
-                    to.0[o] += weight * view.liquid[p];
-                    to.0[o + 3] += weight;
+                    match near.as_deref_mut() {
+                        Some(near) => near.add(to, view.sides[p], o, [weight * view.liquid[p], 0.0, 0.0, weight]),
+                        None => {
+                            to.0[o] += weight * view.liquid[p];
+                            to.0[o + 3] += weight;
+                        }
+                    }
                 }
             }
         }

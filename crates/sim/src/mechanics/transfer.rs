@@ -89,7 +89,7 @@ impl<S: Simd> AxisZ<S> {
 }
 
 #[inline(always)]
-fn row(first: u32, i: usize, j: usize) -> usize {
+pub(crate) fn row(first: u32, i: usize, j: usize) -> usize {
     (first as usize + (i * TILE + j) * TILE) * 4
 }
 
@@ -147,8 +147,8 @@ const LOST: f32 = 0.98;
 
 /// Completes the G2P record of a tracer whose stencil reaches beyond the matter: empty nodes take the mean velocity of the
 /// others, as if the weights were renormalised. (Mass points never meet empty nodes.) Without this the skin lags behind the
-/// body it lies on. Returns true where there is no matter to follow.
-pub(crate) fn complete_tracer(tile: &Tile, st: &Stencils, p: usize, record: &mut Record) -> bool {
+/// body it lies on. Returns true where there is no matter to follow. `mass_at` is the mass of a node by its place in the tile.
+pub(crate) fn complete_tracer(mass_at: impl Fn(usize) -> f32, st: &Stencils, p: usize, record: &mut Record) -> bool {
     let g = st.gz[p];
     let wz = [0.5 * (0.5 - g) * (0.5 - g), 0.75 - g * g, 0.5 * (0.5 + g) * (0.5 + g)];
     // Σ w, Σ w d_x, Σ w d_y, Σ w d_z over the empty nodes.
@@ -157,7 +157,7 @@ pub(crate) fn complete_tracer(tile: &Tile, st: &Stencils, p: usize, record: &mut
         for j in 0..3 {
             let o = row(st.first[p], i, j);
             for k in 0..3 {
-                if tile.0[o + 4 * k + 3] <= 0.0 {
+                if mass_at(o + 4 * k) <= 0.0 {
                     let (wx, wy) = (st.wx[i][p], st.wy[j][p]);
                     empty[0] += wx * wy * wz[k];
                     empty[1] += st.dx[i][p] * wy * wz[k];
@@ -228,7 +228,7 @@ pub(crate) fn scatter<S: Simd>(s: S, tile: &mut Tile, st: &Stencils, count: usiz
 /// Bit `9 x + 3 y + z` (each 0, 1, 2: the neighbour block below, the block itself, the one above) is set where a stencil whose
 /// first node is `first` reaches that part of the tile.
 #[inline(always)]
-fn touched(first: u32) -> u32 {
+pub(crate) fn touched(first: u32) -> u32 {
     let axis = |base: u32| 0b010 | u32::from(base < 2) | (u32::from(base >= 4) << 2);
     let z = axis(first & 7);
     let y = axis((first >> 3) & 7);

@@ -27,6 +27,7 @@ pub(crate) struct View<'a> {
     pub constant: &'a [f32],
     pub liquid: &'a [f32],
     pub law: &'a [u8],
+    pub sides: &'a [u32],
 }
 
 fn cut_mut<'a, T>(s: &mut &'a mut [T], n: usize) -> &'a mut [T] {
@@ -65,6 +66,7 @@ pub(crate) fn views(p: &mut Particles) -> Vec<View<'_>> {
         volume_gain,
         liquid,
         law,
+        sides,
         ..
     } = p;
     let mut cell = cell.as_mut_slice();
@@ -77,7 +79,7 @@ pub(crate) fn views(p: &mut Particles) -> Vec<View<'_>> {
     let (mut plastic, mut flags, mut rebase) = (plastic_strain.as_mut_slice(), flags.as_mut_slice(), rebase.as_mut_slice());
     let (mut mass, mut volume, mut shear, mut bulk) = (mass.as_slice(), volume.as_slice(), shear.as_slice(), bulk.as_slice());
     let (mut yield_stress, mut viscosity, mut exponent) = (yield_stress.as_slice(), viscosity.as_slice(), exponent.as_slice());
-    let (mut liquid, mut law) = (liquid.as_slice(), law.as_slice());
+    let (mut liquid, mut law, mut sides) = (liquid.as_slice(), law.as_slice(), sides.as_slice());
     blocks
         .into_iter()
         .map(|block| {
@@ -104,6 +106,7 @@ pub(crate) fn views(p: &mut Particles) -> Vec<View<'_>> {
                 constant: cut(&mut constant, n),
                 liquid: cut(&mut liquid, n),
                 law: cut(&mut law, n),
+                sides: cut(&mut sides, n),
             }
         })
         .collect()

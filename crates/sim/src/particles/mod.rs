@@ -142,6 +142,8 @@ pub struct Particles {
     pub flags: Vec<u16>,
     /// Stable identity.
     pub id: Vec<u32>,
+    /// On which side of which thin sheets it is: bit k on the side that the normal of sheet k points to, bit 16 + k on the other.
+    pub(crate) sides: Vec<u32>,
 }
 
 /// Runs `$body` with `$a` bound to every per-point array in turn, each with its name.
@@ -150,10 +152,10 @@ macro_rules! each_array {
         let Particles {
             grid: _, sorted: _, blocks: _, cell, offset, velocity, affine, elastic, total, mass, volume, shear, bulk,
             yield_stress, viscosity, exponent, law_constant, volume_gain, plastic_strain, liquid, enthalpy, temperature_gradient, normal, rebase, law,
-            material, phase, object, flags, id,
+            material, phase, object, flags, id, sides,
         } = $p;
         each_array!(@one $name, $a, $body; cell, mass, volume, shear, bulk, yield_stress, viscosity, exponent, law_constant, volume_gain,
-            plastic_strain, liquid, enthalpy, temperature_gradient, normal, rebase, law, material, phase, object, flags, id);
+            plastic_strain, liquid, enthalpy, temperature_gradient, normal, rebase, law, material, phase, object, flags, id, sides);
         each_array!(@many $refer, $name, $a, $body; offset, velocity, affine, elastic, total);
     }};
     (@one $name:ident, $a:ident, $body:expr; $($field:ident),*) => { $({ let $name = stringify!($field); let $a = $field; $body; })* };
@@ -201,6 +203,7 @@ impl Particles {
             object: vec![0; count],
             flags: vec![0; count],
             id: vec![0; count],
+            sides: vec![0; count],
         };
         for k in [0, 4, 8] {
             p.total[k].fill(1.0);
@@ -334,6 +337,13 @@ impl Particles {
         for a in 0..3 {
             self.velocity[a][i] = v[a];
         }
+    }
+
+    /// On which side of thin sheet `k` (their order among the colliders, 0–15) it is: 1 where the normal points to, −1 on the other
+    /// side, 0 away from it.
+    pub fn side(&self, i: usize, k: usize) -> i32 {
+        let bits = self.sides[i].checked_shr(k as u32).unwrap_or(0);
+        (bits & 1) as i32 - (bits >> 16 & 1) as i32
     }
 
     /// Affine velocity matrix C \[1/s\].

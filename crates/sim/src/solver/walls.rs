@@ -33,7 +33,7 @@ impl Walls {
             return None;
         }
         let all = placed(colliders, 0.0);
-        let fixed: Vec<&Placed> = all.iter().filter(|c| c.collider.is_static()).collect();
+        let fixed: Vec<&Placed> = all.iter().filter(|c| c.collider.is_static() && c.sheet.is_none()).collect();
         let owner = |n: usize| {
             let x = grid.position(grid.node(n));
             fixed.iter().find(|c| c.distance(x).0 < 0.0).map_or(FREE, |c| c.index)
@@ -51,7 +51,7 @@ impl Walls {
         for &n in &stale {
             self.owner[n as usize] = self.fixed[n as usize];
         }
-        for c in placed(colliders, time).iter().filter(|c| !c.collider.is_static()) {
+        for c in placed(colliders, time).iter().filter(|c| !c.collider.is_static() && c.sheet.is_none()) {
             self.claim(grid, c);
         }
         if refill {
