@@ -147,7 +147,7 @@ impl Lattice {
             settings,
         };
         lattice.classify();
-        lattice.refine_flow();
+        lattice.coarsen_flow();
         lattice
     }
 

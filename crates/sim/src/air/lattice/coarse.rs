@@ -41,7 +41,7 @@ impl Blend {
 
 impl Lattice {
     /// Moves the flow to cells of 2³ nodes if the settings ask for it.
-    pub(super) fn refine_flow(&mut self) {
+    pub(super) fn coarsen_flow(&mut self) {
         if self.settings.flow && !self.settings.flows_here() {
             let mut coarse = Self::new(self.settings.coarse());
             (coarse.warmed, coarse.write_all, self.write_all) = (true, true, true);
