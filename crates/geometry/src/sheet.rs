@@ -269,7 +269,7 @@ mod tests {
             let x = 0.009 * f64::from(k) - 0.9;
             let at = sheet.near([x, 0.5 * x, 0.25 + 1e-16 * f64::from(k % 3 - 1)], 1.0).unwrap();
             assert!((at.normal[2] - up).abs() < 1e-9, "{at:?}");
-            let at = sheet.near([x, 5.0 * (x + 0.2), 0.25], 1.0).unwrap();
+            let at = sheet.near([x, 5.0 * (x + 0.2), 0.25], 9.0).unwrap();
             assert!(at.rim || (at.normal[2] - up).abs() < 1e-9, "{at:?}");
         }
         let same = Sheet::across_box([0.0, 0.0, 0.25], [1.0, 1.0, 0.01], mat3::identity()).unwrap();
