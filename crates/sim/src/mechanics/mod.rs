@@ -25,7 +25,7 @@ use crate::collider::{Collider, Placed, placed};
 use crate::grid::Grid;
 use crate::particles::Particles;
 pub use laws::{material_point, material_point_with};
-use nodes::{GridStep, Nodes};
+use nodes::{GridStep, Nodes, block_center};
 use pass::{Outcome, Sweep, sweep};
 use sheets::{put_back, take_sides};
 pub use time_step::TimeStep;
@@ -405,7 +405,7 @@ impl Mechanics {
         // Only blocks that reach deep enough; points have drifted by at most a cell since the sort.
         let reach = 3.0 * 3f64.sqrt() * dx;
         for b in particles.blocks().to_vec() {
-            let center = self.grid.position(b.coords.map(|c| c as usize * 4)).map(|x| x + 1.5 * dx);
+            let center = block_center(&self.grid, b.coords);
             let near: Vec<&Placed> = colliders.iter().filter(|c| c.distance(center).0 < reach - dx).collect();
             if near.is_empty() {
                 continue;

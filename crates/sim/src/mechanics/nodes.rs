@@ -131,7 +131,7 @@ impl Nodes {
                 if !fixed.is_empty() {
                     self.contacts.extend_from_slice(self.known.entry(index as u32).or_insert_with(|| find_contacts(grid, coords, &fixed)));
                 }
-                let center = grid.position(coords.map(|c| c as usize * SIDE)).map(|x| x + 0.5 * (SIDE - 1) as f64 * grid.spacing);
+                let center = block_center(grid, coords);
                 // Half the diagonal of a block.
                 let reach = 0.5 * (SIDE - 1) as f64 * 3f64.sqrt() * grid.spacing;
                 let near: Vec<&Placed> = moving.iter().copied().filter(|c| c.distance(center).0 < reach).collect();
@@ -190,7 +190,7 @@ impl Nodes {
             .zip(around)
             .map(|(b, around)| Near::new(&sides[b.start as usize..b.end as usize], |side| tags_at(around[side])))
             .collect();
-        for n in 0..self.info.len() {
+        for n in (0..self.info.len()).filter(|n| !tags[*n].is_empty()) {
             let info = &self.info[n];
             let plain = self.contacts_of(info).to_vec();
             let mut tiles: Vec<(u16, (u8, u32, u32))> = Vec::new();
@@ -205,7 +205,7 @@ impl Nodes {
                 if !tags[n].iter().any(|t| t.parts(mask)) {
                     continue;
                 }
-                let contacts = with_sheets(mask, plain.clone(), &tags[n], |c| sheet_offset(sheets, c));
+                let contacts = with_sheets(mask, plain.clone(), &tags[n]);
                 for &(_, (k, t, l)) in of_layer {
                     if let Some(Some(near)) = self.near.get_mut(t as usize) {
                         near.layers[l as usize].around[26 - k as usize] = self.ghosts.len() as u32;
@@ -215,7 +215,7 @@ impl Nodes {
                 self.ghosts.push(Ghost { block: n as u32, tiles, contacts, liquid: None, values: NodeBlock::ZERO });
             }
             // Sheets that are felt before they are reached hold the nodes on their own side too.
-            let contacts = with_sheets(0, plain, &tags[n], |c| sheet_offset(sheets, c));
+            let contacts = with_sheets(0, plain, &tags[n]);
             if contacts.len() > self.contacts_of(info).len() {
                 let first = self.contacts.len() as u32;
                 self.contacts.extend(contacts);
@@ -396,11 +396,6 @@ fn add_tile<S: Simd>(s: S, side: usize, tile: &Tile, out: &mut NodeBlock) {
     }
 }
 
-/// Contact level of a sheet \[spacings\].
-fn sheet_offset(sheets: &[&Placed], index: u16) -> f64 {
-    sheets.iter().find(|s| s.index == index).map_or(0.0, |s| s.collider.offset)
-}
-
 /// Copies the values of the blocks of nodes `around` a block of points into a tile; zero where there is none.
 #[inline(always)]
 fn load<'a, S: Simd>(s: S, around: &[u32; 27], values_of: impl Fn(u32) -> Option<&'a [f32; 256]>, out: &mut Tile) {
@@ -450,12 +445,22 @@ fn walls(coords: [u32; 3], out: &mut NodeBlock, step: &GridStep) {
     }
 }
 
+/// Middle of the nodes of a block.
+pub(crate) fn block_center(grid: &Grid, coords: [u32; 3]) -> [f64; 3] {
+    grid.position(coords.map(|c| c as usize * SIDE)).map(|x| x + 0.5 * (SIDE - 1) as f64 * grid.spacing)
+}
+
+/// Place of node `n` of a block.
+pub(crate) fn node_position(grid: &Grid, coords: [u32; 3], n: usize) -> [f64; 3] {
+    let local = [n / 16, n / 4 % 4, n % 4];
+    grid.position(std::array::from_fn(|a| coords[a] as usize * SIDE + local[a]))
+}
+
 /// The nodes of a block that obstacles hold, ordered by node and then obstacle.
 fn find_contacts(grid: &Grid, coords: [u32; 3], colliders: &[&Placed]) -> Vec<Contact> {
     let mut found = Vec::new();
     for n in 0..SIDE * SIDE * SIDE {
-        let local = [n / 16, n / 4 % 4, n % 4];
-        let x = grid.position(std::array::from_fn(|a| coords[a] as usize * SIDE + local[a]));
+        let x = node_position(grid, coords, n);
         found.extend(colliders.iter().filter_map(|c| c.contact(n as u8, x, grid.spacing)));
     }
     found

@@ -9,7 +9,7 @@ use megas_model::{FLAG_ESCAPED, FLAG_REPAIRED};
 
 use super::laws::{Flow, Laws, Mask, Parameters, advance_fluid, respond};
 use super::sheets::Near;
-use super::transfer::{CHUNK, Stencils, TILE, TILE_ORIGIN, Tile, complete_tracer, gather, scatter};
+use super::transfer::{CHUNK, Stencils, TILE, TILE_ORIGIN, Tile, complete_tracer, gather, scatter, weights};
 use super::view::View;
 use super::{Bounds, Repairs};
 use crate::particles::{AXIS_BITS, AXIS_MASK, DRUCKER_PRAGER, FLUID, MARGIN, VON_MISES, pack, rebased, unpack};
@@ -485,10 +485,7 @@ pub(crate) fn scatter_liquid(view: &View, to: &mut Tile, mut near: Option<&mut N
     for (p, &packed) in view.cell.iter().enumerate() {
         let cell = unpack(packed);
         let m = view.mass[p];
-        let w: [[f32; 3]; 3] = [0, 1, 2].map(|a| {
-            let g = view.offset[a][p];
-            [0.5 * (0.5 - g) * (0.5 - g), 0.75 - g * g, 0.5 * (0.5 + g) * (0.5 + g)]
-        });
+        let w: [[f32; 3]; 3] = [0, 1, 2].map(|a| weights(view.offset[a][p]));
         let first: [usize; 3] = [0, 1, 2].map(|a| (cell[a] + TILE_ORIGIN - 1 - 4 * view.block.coords[a]) as usize);
         for i in 0..3 {
             for j in 0..3 {

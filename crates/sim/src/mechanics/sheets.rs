@@ -15,8 +15,8 @@ use megas_math::simd::transpose::Record;
 use megas_math::vec3;
 use rayon::prelude::*;
 
-use super::nodes::{NodeBlock, SIDE};
-use super::transfer::{CHUNK, Stencils, TILE, Tile, row};
+use super::nodes::{NodeBlock, SIDE, block_center, node_position};
+use super::transfer::{CHUNK, Stencils, TILE, Tile, row, weights};
 use crate::collider::{Contact, Placed};
 use crate::grid::Grid;
 use crate::particles::Particles;
@@ -57,6 +57,8 @@ pub(crate) struct Tag {
     sheet: u8,
     /// Distance \[spacings\], ≥ 0 on the side of the normal.
     distance: f32,
+    /// Contact level of the sheet \[spacings\].
+    level: f64,
     /// What a node here feels that belongs to the positive side; turned round for the other.
     contact: Contact,
 }
@@ -81,8 +83,7 @@ pub(crate) fn find_tags(grid: &Grid, coords: [u32; 3], sheets: &[&Placed]) -> Ve
         return found;
     }
     for n in 0..SIDE * SIDE * SIDE {
-        let local = [n / 16, n / 4 % 4, n % 4];
-        let x = grid.position(std::array::from_fn(|a| coords[a] as usize * SIDE + local[a]));
+        let x = node_position(grid, coords, n);
         for s in &near {
             let (Some(sheet), Some(at)) = (s.sheet, s.on_sheet(x, STENCIL * grid.spacing)) else { continue };
             if !at.rim {
@@ -90,17 +91,13 @@ pub(crate) fn find_tags(grid: &Grid, coords: [u32; 3], sheets: &[&Placed]) -> Ve
                     node: n as u8,
                     sheet,
                     distance: (at.distance / grid.spacing) as f32,
+                    level: s.collider.offset,
                     contact: s.contact_with(n as u8, at.normal, at.point),
                 });
             }
         }
     }
     found
-}
-
-/// Middle of the nodes of a block.
-fn block_center(grid: &Grid, coords: [u32; 3]) -> [f64; 3] {
-    grid.position(coords.map(|c| c as usize * SIDE)).map(|x| x + 0.5 * (SIDE - 1) as f64 * grid.spacing)
 }
 
 /// Gives points that come near a sheet the side they are on, and takes it from those that left it or its rim. Sorted points.
@@ -318,7 +315,7 @@ impl Weights {
     #[inline(always)]
     fn new(st: &Stencils, p: usize) -> Self {
         let g = st.gz[p];
-        let z = [0.5 * (0.5 - g) * (0.5 - g), 0.75 - g * g, 0.5 * (0.5 + g) * (0.5 + g)];
+        let z = weights(g);
         let of = |a: &[[f32; CHUNK]; 3]| [a[0][p], a[1][p], a[2][p]];
         Self { w: [of(&st.wx), of(&st.wy), z], d: [of(&st.dx), of(&st.dy), std::array::from_fn(|k| z[k] * (k as f32 - 1.0 - g))] }
     }
@@ -346,15 +343,14 @@ pub(crate) struct Ghost {
 }
 
 /// Adds to the contacts of a block of nodes those that sheets make, for the points that the sheets of `mask` part from them: none of
-/// those of the nodes themselves. `offset` is the contact level of a collider \[spacings\].
-pub(crate) fn with_sheets(mask: u16, mut contacts: Vec<Contact>, tags: &[Tag], offset: impl Fn(u16) -> f64) -> Vec<Contact> {
+/// those of the nodes themselves.
+pub(crate) fn with_sheets(mask: u16, mut contacts: Vec<Contact>, tags: &[Tag]) -> Vec<Contact> {
     for t in tags {
         let parted = t.parts(mask);
         // On which side of the sheet the node is felt, and how far over it.
         let positive = (t.distance >= 0.0) != parted;
         let height = if parted { -t.distance.abs() } else { t.distance.abs() };
-        let level = offset(t.contact.collider);
-        if f64::from(height) < level || (parted && level >= 0.0) {
+        if f64::from(height) < t.level || (parted && t.level >= 0.0) {
             let normal = if positive { t.contact.normal } else { t.contact.normal.map(|v| -v) };
             contacts.push(Contact { normal, ..t.contact });
         }

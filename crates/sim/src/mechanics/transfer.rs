@@ -88,6 +88,13 @@ impl<S: Simd> AxisZ<S> {
     }
 }
 
+/// Weights of the three nodes along an axis around a point at offset `g` from the middle one, in the
+/// form whose rounding the lanes share.
+#[inline(always)]
+pub(crate) fn weights(g: f32) -> [f32; 3] {
+    [0.5 * (0.5 - g) * (0.5 - g), 0.75 - g * g, 0.5 * (0.5 + g) * (0.5 + g)]
+}
+
 #[inline(always)]
 pub(crate) fn row(first: u32, i: usize, j: usize) -> usize {
     (first as usize + (i * TILE + j) * TILE) * 4
@@ -150,7 +157,7 @@ const LOST: f32 = 0.98;
 /// body it lies on. Returns true where there is no matter to follow. `mass_at` is the mass of a node by its place in the tile.
 pub(crate) fn complete_tracer(mass_at: impl Fn(usize) -> f32, st: &Stencils, p: usize, record: &mut Record) -> bool {
     let g = st.gz[p];
-    let wz = [0.5 * (0.5 - g) * (0.5 - g), 0.75 - g * g, 0.5 * (0.5 + g) * (0.5 + g)];
+    let wz = weights(g);
     // Σ w, Σ w d_x, Σ w d_y, Σ w d_z over the empty nodes.
     let mut empty = [0.0f32; 4];
     for i in 0..3 {

@@ -189,20 +189,20 @@ fn square(cases: &[Published], flow_ratio: usize) -> Outcome {
         let ((u_max, u_y), (v_max, v_x)) = (peak(&u), peak(&v));
         let least = local.iter().copied().fold(f64::INFINITY, f64::min);
         let relative = |what: &str, published, ours, tolerance| Row::relative(format!("{label}: {what}"), published, ours, tolerance);
-        let place = |what: &str, published, ours, tolerance| Row::new(format!("{label}: {what}"), published, ours, tolerance);
+        let absolute = |what: &str, published, ours, tolerance| Row::new(format!("{label}: {what}"), published, ours, tolerance);
         outcome.rows.extend([
             relative("Nu of the volume", p.nu, volume_nusselt(&lattice), 0.01),
             relative("Nu of the hot wall", p.nu, wall, 0.01),
             relative("largest local Nu", p.nu_max.0, nu_max, tolerance.largest),
             relative("smallest local Nu", p.nu_min, least, tolerance.smallest),
             relative("largest u on x = ½", p.u_max.0, u_max, tolerance.speed),
-            place("its height", p.u_max.1, u_y, 0.01),
+            absolute("its height", p.u_max.1, u_y, 0.01),
             relative("largest v on y = ½", p.v_max.0, v_max, tolerance.speed),
-            place("its place", p.v_max.1, v_x, 0.01),
+            absolute("its place", p.v_max.1, v_x, 0.01),
         ]);
         if flow_ratio == 1 {
             // Flat against the ripple of an interpolated flow.
-            outcome.rows.push(place("height of the largest local Nu", p.nu_max.1, nu_y, 0.02));
+            outcome.rows.push(absolute("height of the largest local Nu", p.nu_max.1, nu_y, 0.02));
         }
         let place = |i: usize| (i as f64 + 0.5) / n as f64;
         outcome = outcome
