@@ -199,8 +199,8 @@ pub(crate) fn sweep<S: Simd, const GATHER: bool, const SCATTER: bool>(
             records[valid..].fill(Record::ZERO);
             for p in 0..valid {
                 if view.mass[base + p] == 0.0 {
-                    let mass_at = |o: usize| near.as_deref().map_or(from.0[o + 3], |n| n.value(from, sides[p], o)[3]);
-                    if complete_tracer(mass_at, &stencils, p, &mut records[p]) {
+                    let node = |o: usize| near.as_deref().map_or(&from.0[o..o + 4], |n| n.value(from, sides[p], o));
+                    if complete_tracer(node, &stencils, p, &mut records[p]) {
                         view.flags[base + p] |= FLAG_ESCAPED;
                     }
                 }

@@ -7,6 +7,7 @@
 use fearless_simd::{Simd, SimdBase, SimdFloat, SimdSplit, f32x4, f32x16};
 use megas_math::simd::each3;
 use megas_math::simd::transpose::Record;
+use megas_math::vec3;
 
 /// Nodes per axis of a tile: a block, one node of stencil and one of drift on each side.
 pub(crate) const TILE: usize = 8;
@@ -151,25 +152,40 @@ pub(crate) fn gather<S: Simd>(s: S, tile: &Tile, st: &Stencils, count: usize, ou
 
 /// Share of a tracer's stencil without matter beyond which nothing carries it any more.
 const LOST: f32 = 0.98;
+/// Mass at a tracer, in that of the heaviest node of its stencil, from which on it follows the nodes by their weights, and up to which
+/// it follows them by their mass. At a flat surface it is a half.
+const NEAR: f32 = 0.35;
+const FAR: f32 = 0.2;
 
 /// Completes the G2P record of a tracer whose stencil reaches beyond the matter: empty nodes take the mean velocity of the
 /// others, as if the weights were renormalised. (Mass points never meet empty nodes.) Without this the skin lags behind the
-/// body it lies on. Returns true where there is no matter to follow. `mass_at` is the mass of a node by its place in the tile.
-pub(crate) fn complete_tracer(mass_at: impl Fn(usize) -> f32, st: &Stencils, p: usize, record: &mut Record) -> bool {
+/// body it lies on. Farther out the nodes have hardly any mass, and what forces make of their velocities is noise that no point
+/// with mass feels: there the velocities give way to their mean by mass, or the skin would climb off the body in strands.
+///
+/// Returns true where there is no matter to follow. `node` gives `[v, m]` of a node by its place in the tile.
+pub(crate) fn complete_tracer<'a>(node: impl Fn(usize) -> &'a [f32], st: &Stencils, p: usize, record: &mut Record) -> bool {
     let g = st.gz[p];
     let wz = weights(g);
     // Σ w, Σ w d_x, Σ w d_y, Σ w d_z over the empty nodes.
     let mut empty = [0.0f32; 4];
+    let mut heaviest = 0.0f32;
+    let mut momentum = [0.0f32; 3];
     for i in 0..3 {
         for j in 0..3 {
             let o = row(st.first[p], i, j);
             for k in 0..3 {
-                if mass_at(o + 4 * k) <= 0.0 {
-                    let (wx, wy) = (st.wx[i][p], st.wy[j][p]);
-                    empty[0] += wx * wy * wz[k];
+                let node = node(o + 4 * k);
+                let mass = node[3];
+                let (wx, wy) = (st.wx[i][p], st.wy[j][p]);
+                let w = wx * wy * wz[k];
+                if mass <= 0.0 {
+                    empty[0] += w;
                     empty[1] += st.dx[i][p] * wy * wz[k];
                     empty[2] += wx * st.dy[j][p] * wz[k];
-                    empty[3] += wx * wy * wz[k] * (k as f32 - 1.0 - g);
+                    empty[3] += w * (k as f32 - 1.0 - g);
+                } else {
+                    heaviest = heaviest.max(mass);
+                    momentum = vec3::add_scaled(momentum, [node[0], node[1], node[2]], w * mass);
                 }
             }
         }
@@ -183,6 +199,17 @@ pub(crate) fn complete_tracer(mass_at: impl Fn(usize) -> f32, st: &Stencils, p: 
             record.0[a] = mean;
             for axis in 1..4 {
                 record.0[4 * axis + a] += mean * empty[axis];
+            }
+        }
+    }
+    let mass = record.0[3];
+    if mass < NEAR * heaviest {
+        let trust = ((mass / heaviest - FAR) / (NEAR - FAR)).max(0.0);
+        for a in 0..3 {
+            // Distances to all nodes sum up to nothing, so a velocity that they share has no gradient.
+            record.0[a] = trust * record.0[a] + (1.0 - trust) * momentum[a] / mass;
+            for axis in 1..4 {
+                record.0[4 * axis + a] *= trust;
             }
         }
     }
@@ -248,6 +275,49 @@ pub(crate) fn touched(first: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Record of a point at offset `gx` from the middle node of its stencil, whose columns of nodes have these masses and velocities
+    /// along x.
+    fn followed(gx: f32, mass: [f32; 3], velocity: [f32; 3]) -> Option<Record> {
+        let mut st = Stencils::ZERO;
+        let (wx, wy) = (weights(gx), weights(0.0));
+        for k in 0..3 {
+            let node = k as f32 - 1.0;
+            (st.wx[k][0], st.dx[k][0]) = (wx[k], wx[k] * (node - gx));
+            (st.wy[k][0], st.dy[k][0]) = (wy[k], wy[k] * node);
+        }
+        let mut tile = Tile::ZERO;
+        for i in 0..3 {
+            for (j, k) in (0..9).map(|n| (n / 3, n % 3)) {
+                let o = row(0, i, j) + 4 * k;
+                tile.0[o] = if mass[i] > 0.0 { velocity[i] } else { 0.0 };
+                tile.0[o + 3] = mass[i];
+            }
+        }
+        let mut records = [Record::ZERO; CHUNK];
+        fearless_simd::dispatch!(fearless_simd::Level::new(), s => gather(s, &tile, &st, 1, &mut records));
+        let lost = complete_tracer(|o| &tile.0[o..o + 4], &st, 0, &mut records[0]);
+        (!lost).then_some(records[0])
+    }
+
+    #[test]
+    fn tracers_follow_the_matter_and_not_its_fringe() {
+        // Within the matter a fast node counts by its weight; empty nodes take the mean of the others.
+        let inside = followed(0.2, [1.0, 1.0, 0.5], [0.0, 0.0, 10.0]).unwrap();
+        assert!((inside.0[0] - 10.0 * weights(0.2)[2]).abs() < 1e-5);
+        let beside = followed(0.2, [1.0, 1.0, 0.0], [3.0, 3.0, 0.0]).unwrap();
+        assert!((beside.0[0] - 3.0).abs() < 1e-5 && beside.0[4].abs() < 1e-5, "{:?}", beside.0);
+        // Outside of it the fringe, which weighs nothing, has little to say.
+        let out = followed(0.4, [1.0, 1e-4, 1e-4], [1.0, 10.0, 10.0]).unwrap();
+        assert!((out.0[0] - 1.0).abs() < 0.2 && out.0[4] == 0.0, "{:?}", out.0);
+        // Between the two it passes over without a step.
+        let at = |m: f32| followed(0.0, [1.0, m, 0.0], [0.0, 10.0, 0.0]).unwrap().0[0];
+        for k in 0..100 {
+            let m = 0.003 * k as f32 + 1e-4;
+            assert!((at(m + 0.003) - at(m)).abs() < 0.5, "{m}: {} {}", at(m), at(m + 0.003));
+        }
+        assert!(followed(0.0, [0.0; 3], [0.0; 3]).is_none());
+    }
 
     #[test]
     fn touched_regions_follow_the_stencil() {
