@@ -279,7 +279,7 @@ fn inside(surface: &Splats, placed: &crate::volumes::Particles, similarity: &Sim
             let (mut rgb, mut kelvin, mut weight) = ([0.0; 3], 0.0, 0.0);
             for &(i, d2) in &found {
                 let w = surface.opacity(i as usize) / (d2 + floor);
-                rgb = vec3::add_scaled(rgb, surface.base_rgb(i as usize), w);
+                rgb = vec3::add_scaled(rgb, surface.seen_rgb(i as usize), w);
                 kelvin += surface.temperature[i as usize];
                 weight += w;
             }

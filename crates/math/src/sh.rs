@@ -88,6 +88,23 @@ pub fn colour<T: Real>(degree: u8, coefficients_rgb: &[T], d: Vec3<T>) -> [T; 3]
     rgb.map(|v| v.max(T::zero()))
 }
 
+/// Share of each band, up to degree 3, in the mean over the directions that see a surface, weighted by their cosine (Ramamoorthi and
+/// Hanrahan 2001).
+const SEEN: [f32; 4] = [1.0, 2.0 / 3.0, 0.25, 0.0];
+
+/// DC coefficients of the mean colour, weighted by the cosine, over the directions that see a surface with this outward normal. The
+/// coefficient of the constant harmonic alone is the mean over all directions, of which half are behind the surface and hold anything.
+pub fn seen_dc(coefficients_rgb: &[f32], normal: Vec3<f32>) -> [f32; 3] {
+    // Directions lead from the camera to the surface.
+    let y = basis(normal.map(|v| -v));
+    let mut dc = [0.0; 3];
+    for (k, c) in coefficients_rgb.chunks_exact(3).enumerate() {
+        let weight = SEEN[k.isqrt()] * y[k] / y[0];
+        (0..3).for_each(|channel| dc[channel] += weight * c[channel]);
+    }
+    dc
+}
+
 /// DC coefficient of a base colour in [0, 1].
 pub fn dc_from_rgb(rgb: f32) -> f32 {
     (rgb - 0.5) / Y0 as f32

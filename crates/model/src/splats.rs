@@ -220,6 +220,11 @@ impl Splats {
         std::array::from_fn(|ch| sh::rgb_from_dc(c[ch]))
     }
 
+    /// Mean colour as seen from outside, in [0, 1] where the file kept to that (see [`sh::seen_dc`]); needs outward normals.
+    pub fn seen_rgb(&self, i: usize) -> [f32; 3] {
+        sh::seen_dc(self.sh_of(i), self.normal(i)).map(sh::rgb_from_dc)
+    }
+
     /// Axis-aligned box of the means `(min, max)`; `None` without Gaussians.
     pub fn bounds(&self) -> Option<(Vec3<f32>, Vec3<f32>)> {
         let first = *self.mean.first()?;

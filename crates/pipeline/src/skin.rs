@@ -95,6 +95,7 @@ impl Dresser {
             },
             squeeze: scene.skin.squeeze.unwrap_or(!scene.is_literal()),
             depth: scene.skin.depth_m / unit,
+            dull: scene.skin.dull.unwrap_or(!scene.is_literal()),
             needle_aspect: if clamp { scene.skin.max_stretch } else { f64::INFINITY },
             needle_size: if clamp { 2.0 * tau_scale } else { f64::INFINITY },
         };
@@ -151,7 +152,7 @@ impl Dresser {
 
     /// Takes in the next frame. `out` receives what is drawn of the bodies if `wanted` or if later frames need it.
     pub fn frame(&mut self, points: &PointFrame, viewers: &[Camera], wanted: bool, out: &mut Gaussians) {
-        self.skin.advance(points);
+        self.skin.advance(points, self.dt);
         self.next += 1;
         if !(wanted || self.remembers()) {
             return;
@@ -228,6 +229,7 @@ impl Dresser {
         t.push("kernel_rim", &s.kernel_rim);
         t.push("sigma0", &skin.sigma0);
         t.push("turned", &skin.turned);
+        t.push("gloss", &skin.gloss);
         t.write(&state_path(folder, self.next))?;
         if let Some(old) = self.next.checked_sub(2 * KEEP_EVERY) {
             let _ = std::fs::remove_file(state_path(folder, old));
@@ -269,7 +271,7 @@ impl Dresser {
             kernel_cover: t.take("kernel_cover").ok()?,
             kernel_rim: t.take("kernel_rim").ok()?,
         };
-        let skin = SkinState { sigma0: t.take("sigma0").ok()?, turned: t.take("turned").ok()? };
+        let skin = SkinState { sigma0: t.take("sigma0").ok()?, turned: t.take("turned").ok()?, gloss: t.take("gloss").ok()? };
         let [most, toggles, worst] = totals[..] else { return None };
         if !self.skin.restore(&skin) || !densifier.restore(state) {
             return None;

@@ -171,7 +171,7 @@ fn object_mesh(bodies: &Bodies, frame: &PointFrame, number: u16, settings: &Mesh
     let imls = skin.and_then(|depth| Imls::new(&samples.raised(depth), &ImlsSettings::default()));
     let mut mesh = body_mesh(&core_at, imls.as_ref(), settings);
     let spacing = settings.spacing as f32;
-    let rgb = |i: &usize| bodies.surface.base_rgb(*i).map(|v| v.clamp(0.0, 1.0));
+    let rgb = |i: &usize| bodies.surface.seen_rgb(*i).map(|v| v.clamp(0.0, 1.0));
     let skin_rgb: Vec<[f32; 3]> = outer.iter().map(rgb).collect();
     let core_rgb: Vec<[f32; 3]> = core.iter().map(|i| bodies.internal_rgb[*i - n]).collect();
     colour(&mut mesh, Carriers { position: &skin_at, value: &skin_rgb }, Carriers { position: &core_at, value: &core_rgb }, spacing);

@@ -98,6 +98,10 @@ pub struct Skin {
     /// for push "elastic".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub squeeze: Option<bool>,
+    /// Let what melts lose the highlights that were photographed on it, and keep the colour that they average to (default: yes; no with
+    /// preset "paper"). Its own sheen is a matter of `wetness`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dull: Option<bool>,
     /// Depth of the splats below the surface that they draw \[m\], 0–0.01, kept while the flow presses the surface together or apart:
     /// models trained here lie about 1.35 pixels of their photographs deep. 0: they go where the material goes.
     #[schemars(range(min = 0.0, max = 0.01))]
@@ -143,6 +147,7 @@ impl Default for Skin {
             realign: None,
             grow: None,
             squeeze: None,
+            dull: None,
             depth_m: 0.0,
             surface_rule: None,
             kernel: None,

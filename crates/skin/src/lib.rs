@@ -4,6 +4,7 @@
 mod bake;
 mod clamp;
 pub mod densify;
+mod gloss;
 pub mod imls;
 pub mod mesh;
 mod push;
@@ -13,5 +14,6 @@ mod skin;
 
 pub use bake::bake_splats;
 pub use clamp::{NeedleLimit, clamp_covariance};
+pub use gloss::dull;
 pub use push::{Pushed, lost_depth, push_forward, rebase_covariance, squeeze};
 pub use skin::{InternalKernels, Push, Skin, SkinSettings, SkinState};

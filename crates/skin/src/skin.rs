@@ -6,7 +6,7 @@ use megas_model::{FLAG_ESCAPED, Phase, PointFrame, Similarity, Splats};
 use megas_raster::{Gaussians, pack_covariance};
 use rayon::prelude::*;
 
-use crate::{NeedleLimit, clamp_covariance, lost_depth, push_forward, rebase_covariance, squeeze};
+use crate::{NeedleLimit, clamp_covariance, dull, gloss, lost_depth, push_forward, rebase_covariance, squeeze};
 
 /// Which deformation carries the splats (splatting.md §8.2).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -30,6 +30,8 @@ pub struct SkinSettings {
     /// Depth of the means below the surface that the splats draw, kept when the flow changes it ([`crate::lost_depth`]) \[scene units\];
     /// 0 leaves them where the points are.
     pub depth: f64,
+    /// What melts loses the highlights that were photographed ([`crate::dull`]).
+    pub dull: bool,
     /// Needle clamp: largest aspect ρ = S¹/S² (default 4).
     pub needle_aspect: f64,
     /// Needle clamp: largest standard deviation τ_def \[scene units\]; infinite with an infinite aspect switches it off.
@@ -43,6 +45,8 @@ pub struct SkinState {
     pub sigma0: Vec<[f64; 9]>,
     /// Rotations at rest by realignment; empty: none.
     pub turned: Vec<[f64; 9]>,
+    /// Shares of the photographed highlights that are left; empty: all of them.
+    pub gloss: Vec<f32>,
 }
 
 /// Kernels of the filled inside, which become visible where the surface opens. Points follow the surface points in the
@@ -69,6 +73,8 @@ pub struct Skin {
     sigma0: Vec<Mat3<f64>>,
     /// Rotation at rest that realignment has given each Gaussian; empty: none.
     turned: Vec<Mat3<f64>>,
+    /// Share of its directional colours that each Gaussian has left; empty: all of them.
+    gloss: Vec<f32>,
     limits: Vec<NeedleLimit>,
     /// Standard deviations of the internal kernels; empty shows none.
     radii: Vec<f32>,
@@ -88,7 +94,7 @@ impl Skin {
         let sigma0: Vec<Mat3<f64>> = (0..surface.len()).into_par_iter().map(|i| mat3::cast(surface.covariance(i))).collect();
         let limits = sigma0.par_iter().map(|&s| NeedleLimit::new(s, settings.needle_aspect, settings.needle_size)).collect();
         let radii = if internal.radius > 0.0 { internal_radii(&surface, &internal) } else { Vec::new() };
-        Self { surface, internal, similarity, settings, sigma0, turned: Vec::new(), limits, radii }
+        Self { surface, internal, similarity, settings, sigma0, turned: Vec::new(), gloss: Vec::new(), limits, radii }
     }
 
     /// Number of points a frame must have.
@@ -96,8 +102,14 @@ impl Skin {
         self.surface.len() + self.internal.colour.len()
     }
 
-    /// Takes in the rebase events of one frame (none where its array is empty). Only the elastic source rebases (splatting.md §8.2).
-    pub fn advance(&mut self, frame: &PointFrame) {
+    /// Takes in the rebase events of one frame (none where its array is empty), `dt` seconds of film after the last, and what has
+    /// melted. Only the elastic source rebases (splatting.md §8.2).
+    pub fn advance(&mut self, frame: &PointFrame, dt: f32) {
+        let n = self.surface.len();
+        if self.settings.dull && (!self.gloss.is_empty() || frame.liquid.iter().take(n).any(|l| *l > 0.0)) {
+            self.gloss.resize(n, 1.0);
+            self.gloss.iter_mut().zip(&frame.liquid).for_each(|(share, liquid)| *share = gloss::left(*share, *liquid, dt));
+        }
         if self.settings.push != Push::Elastic {
             return;
         }
@@ -113,18 +125,24 @@ impl Skin {
     /// What [`Skin::restore`] needs to go on after this frame.
     pub fn state(&self) -> SkinState {
         let flat = |m: &Mat3<f64>| std::array::from_fn(|k| m[k / 3][k % 3]);
-        SkinState { sigma0: self.sigma0.iter().map(flat).collect(), turned: self.turned.iter().map(flat).collect() }
+        SkinState {
+            sigma0: self.sigma0.iter().map(flat).collect(),
+            turned: self.turned.iter().map(flat).collect(),
+            gloss: self.gloss.clone(),
+        }
     }
 
     /// Continues after the frame that left `state`. `false`, and nothing changes, where it belongs to another body.
     pub fn restore(&mut self, state: &SkinState) -> bool {
         let n = self.surface.len();
-        if state.sigma0.len() != n || !(state.turned.is_empty() || state.turned.len() == n) {
+        let fits = |len: usize| len == 0 || len == n;
+        if state.sigma0.len() != n || !fits(state.turned.len()) || !fits(state.gloss.len()) {
             return false;
         }
         let square = |m: &[f64; 9]| std::array::from_fn(|r| std::array::from_fn(|c| m[3 * r + c]));
         self.sigma0 = state.sigma0.iter().map(square).collect();
         self.turned = state.turned.iter().map(square).collect();
+        self.gloss.clone_from(&state.gloss);
         true
     }
 
@@ -194,6 +212,9 @@ impl Skin {
             out.normal.push(p.normal);
         }
         let stride = out.sh_stride();
+        for (i, share) in self.gloss.iter().enumerate() {
+            dull(&mut out.sh[i * stride..(i + 1) * stride], self.surface.normal(i), *share);
+        }
         if !self.radii.is_empty() {
             for (k, colour) in self.internal.colour.iter().enumerate() {
                 let v = self.radii[k] * self.radii[k];
@@ -319,7 +340,7 @@ mod tests {
         let camera = Camera::look_at([3.0, 1.0, 0.5], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 96, 96);
         let still = image(&Gaussians::from_splats(&s), &camera);
         for push in [Push::Elastic, Push::Total, Push::Rotation] {
-            let settings = SkinSettings { push, squeeze: true, depth: 0.1, needle_aspect: 4.0, needle_size: 0.01 };
+            let settings = SkinSettings { push, squeeze: true, depth: 0.1, dull: true, needle_aspect: 4.0, needle_size: 0.01 };
             let skin = Skin::new(s.clone(), InternalKernels::default(), sim, settings);
             let mut g = Gaussians::default();
             assert_eq!(skin.pose(&frame_of(&s, &sim, mat3::identity(), [0.0; 3]), &mut g), 0);
@@ -343,7 +364,7 @@ mod tests {
         let s = shell(300);
         let sim = similarity();
         let camera = Camera::look_at([3.0, 1.0, 0.5], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 64, 64);
-        let settings = SkinSettings { push: Push::Elastic, squeeze: true, depth: 0.0, needle_aspect: 4.0, needle_size: 1.0 };
+        let settings = SkinSettings { push: Push::Elastic, squeeze: true, depth: 0.0, dull: true, needle_aspect: 4.0, needle_size: 1.0 };
         let mut skin = Skin::new(s.clone(), InternalKernels::default(), sim, settings);
         let before = mat3::diag([1.1, 0.95, 0.9]);
         let after = mat3::scale(mat3::identity(), (1.1f64 * 0.95 * 0.9).cbrt());
@@ -355,7 +376,7 @@ mod tests {
         let b = mat3::mul(inverse, before);
         frame.elastic = vec![std::array::from_fn(|k| after[k / 3][k % 3] as f32); s.len()];
         frame.rebase = vec![std::array::from_fn(|k| b[k / 3][k % 3] as f32); s.len()];
-        skin.advance(&frame);
+        skin.advance(&frame, 0.04);
         skin.pose(&frame, &mut g);
         assert!(largest_difference(&image(&g, &camera), &a) < 1e-4);
     }

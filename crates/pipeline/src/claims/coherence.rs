@@ -181,7 +181,7 @@ impl Shots {
         let field = if look == Look::DensityMesh { ParticleField::Density } else { ParticleField::AveragedCentre };
         let settings = MeshSettings { field, ..MeshSettings::new(model.spacing, self.diagonal) };
         let mut mesh = body_mesh(inside, skin.as_ref(), &settings);
-        let own: Vec<[f32; 3]> = (0..model.surface.len()).map(|i| model.surface.base_rgb(i).map(|v| v.clamp(0.0, 1.0))).collect();
+        let own: Vec<[f32; 3]> = (0..model.surface.len()).map(|i| model.surface.seen_rgb(i).map(|v| v.clamp(0.0, 1.0))).collect();
         let outer = Carriers { position: &surface.mean, value: &own };
         colour(&mut mesh, outer, Carriers { position: inside, value: &model.colour }, model.spacing as f32);
         mesh

@@ -9,7 +9,7 @@ use megas_metrics::surface::MeshDistance;
 use megas_model::{Phase, Similarity, Splats};
 use megas_raster::Gaussians;
 use megas_skin::densify::{Anatomy, Deformed, Densifier, DensifySettings};
-use megas_skin::{NeedleLimit, clamp_covariance, lost_depth, squeeze};
+use megas_skin::{NeedleLimit, clamp_covariance, dull, lost_depth, squeeze};
 use rayon::prelude::*;
 
 use super::methods::Contender;
@@ -138,8 +138,11 @@ pub fn posed_surface(method: Contender, model: &Filled, stage: &Stage, d: Deform
             let total = stage.gradient(d, vec3::cast(model.surface.mean[i]));
             lost_depth(limited(total), model.surface.normal(i).map(f64::from))
         };
+        let stride = surface.sh_stride();
         for i in 0..surface.len() {
             surface.mean[i] = vec3::add_scaled(surface.mean[i], surface.normal[i], -(lost(i) * model.depth) as f32);
+            // What flows has lost its highlights.
+            dull(&mut surface.sh[i * stride..(i + 1) * stride], model.surface.normal(i), 0.0);
         }
     }
     surface
