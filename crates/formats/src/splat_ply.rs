@@ -31,6 +31,7 @@ struct Columns {
     origin: Option<Column>,
     normal_sign: Option<Column>,
     birth_id: Option<Column>,
+    trained_pixel: Option<Column>,
 }
 
 impl Columns {
@@ -60,6 +61,7 @@ impl Columns {
             origin: element.column("origin"),
             normal_sign: element.column("normal_sign"),
             birth_id: element.column("birth_id"),
+            trained_pixel: element.column("trained_pixel"),
         })
     }
 }
@@ -136,6 +138,10 @@ impl Extras {
         if let Some(c) = columns.birth_id {
             splats.birth_id.push(c.u32(row));
         }
+        if let Some(c) = columns.trained_pixel {
+            let v = c.f32(row);
+            splats.trained_pixel.push(self.keep(v.is_finite() && v >= 0.0, v, 0.0));
+        }
     }
 
     #[inline(always)]
@@ -175,7 +181,15 @@ pub(crate) fn write(splats: &Splats, options: &WriteOptions, w: &mut dyn Write) 
     (0..rest).for_each(|i| float(&format!("f_rest_{i}")));
     ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"].into_iter().for_each(&mut float);
     if !options.strict {
-        for p in ["float temperature", "ushort object_id", "uchar phase", "uchar origin", "char normal_sign", "uint birth_id"] {
+        for p in [
+            "float temperature",
+            "ushort object_id",
+            "uchar phase",
+            "uchar origin",
+            "char normal_sign",
+            "uint birth_id",
+            "float trained_pixel",
+        ] {
             header.push_str(&format!("property {p}\n"));
         }
         // After the properties: some viewers read the count from the third line.
@@ -205,6 +219,7 @@ pub(crate) fn write(splats: &Splats, options: &WriteOptions, w: &mut dyn Write) 
             block.extend_from_slice(&splats.object_id[i].to_le_bytes());
             block.extend_from_slice(&[splats.phase[i], splats.origin[i], splats.normal_sign[i] as u8]);
             block.extend_from_slice(&splats.birth_id[i].to_le_bytes());
+            block.extend_from_slice(&splats.trained_pixel[i].to_le_bytes());
         }
         if block.len() > (1 << 16) - 512 {
             w.write_all(&block)?;

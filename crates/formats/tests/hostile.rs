@@ -102,14 +102,15 @@ fn bad_rows_are_dropped_and_counted() {
 fn attributes_out_of_range_get_their_defaults() {
     let dir = tempdir().unwrap();
     let mut names = ROW.to_vec();
-    names.extend(["temperature", "object_id", "phase", "origin", "normal_sign", "birth_id"]);
+    names.extend(["temperature", "object_id", "phase", "origin", "normal_sign", "birth_id", "trained_pixel"]);
     let row = "1 2 3  0.1 0.2 0.3  0.5  -3 -4 -5  1 0 0 0 ";
-    let text = header("ascii", 2, "double", &names) + row + "nan 70000 9 3 -5 77\n" + row + "400 65535 3 2 -1 4294967295\n";
+    let text = header("ascii", 2, "double", &names) + row + "nan 70000 9 3 -5 77 -1\n" + row + "400 65535 3 2 -1 4294967295 0.01\n";
     let f = load(dir.path(), "a.ply", text).unwrap();
     let s = f.splats;
-    assert_eq!(f.report.replaced_attributes, 5);
+    assert_eq!(f.report.replaced_attributes, 6);
     assert_eq!((&s.temperature[..], &s.object_id[..], &s.phase[..]), (&[293.15, 400.0][..], &[0, 65535][..], &[0, 3][..]));
     assert_eq!((&s.origin[..], &s.normal_sign[..], &s.birth_id[..]), (&[0, 2][..], &[0, -1][..], &[77, u32::MAX][..]));
+    assert_eq!(s.trained_pixel, [0.0, 0.01]);
 }
 
 #[test]

@@ -58,6 +58,9 @@ pub struct Splats {
     pub origin: Vec<u8>,
     /// Stable identity across frames.
     pub birth_id: Vec<u32>,
+    /// Size, at the Gaussian, of a pixel of the photographs that it was trained on \[scene units\]; 0 = not known. What blurs a picture is
+    /// that large in the model.
+    pub trained_pixel: Vec<f32>,
 }
 
 impl Splats {
@@ -104,7 +107,7 @@ impl Splats {
         self.fill_attributes();
     }
 
-    /// Brings the optional attributes (temperature … birth id) to the length of [`Splats::mean`] with their defaults.
+    /// Brings the optional attributes (temperature … trained pixel) to the length of [`Splats::mean`] with their defaults.
     pub fn fill_attributes(&mut self) {
         let n = self.mean.len();
         self.temperature.resize(n, AMBIENT_K);
@@ -112,6 +115,7 @@ impl Splats {
         self.phase.resize(n, Phase::Solid as u8);
         self.normal_sign.resize(n, 0);
         self.origin.resize(n, Origin::Surface as u8);
+        self.trained_pixel.resize(n, 0.0);
         for i in self.birth_id.len()..n {
             self.birth_id.push(i as u32);
         }
@@ -135,6 +139,7 @@ impl Splats {
             normal_sign: pick(&self.normal_sign, indices),
             origin: pick(&self.origin, indices),
             birth_id: pick(&self.birth_id, indices),
+            trained_pixel: pick(&self.trained_pixel, indices),
         }
     }
 
@@ -158,6 +163,7 @@ impl Splats {
         self.normal_sign.extend_from_slice(&other.normal_sign);
         self.origin.extend_from_slice(&other.origin);
         self.birth_id.extend_from_slice(&other.birth_id);
+        self.trained_pixel.extend_from_slice(&other.trained_pixel);
     }
 
     /// Changes the degree: drops higher bands or pads them with zeros.

@@ -27,6 +27,9 @@ pub struct Gaussians {
     pub temperature: Vec<f32>,
     /// False hides a Gaussian; empty: all are drawn.
     pub visible: Vec<bool>,
+    /// Sizes of a pixel of the photographs that each was trained on, at its place \[scene units\]; 0: not known; empty: 0. The low-pass
+    /// is that of those pixels then, whatever the picture's own are (see [`crate::Settings::low_pass`]).
+    pub trained_pixel: Vec<f32>,
 }
 
 /// The six values of a symmetric matrix in the order of [`Gaussians::covariance`].
@@ -75,6 +78,10 @@ impl Gaussians {
         self.normal.resize(n, [0.0; 3]);
         self.temperature.clear();
         self.temperature.extend_from_slice(&splats.temperature);
+        self.trained_pixel.clear();
+        if splats.trained_pixel.iter().any(|p| *p > 0.0) {
+            self.trained_pixel.extend_from_slice(&splats.trained_pixel);
+        }
         let arrays = (
             self.mean.par_chunks_mut(CHUNK),
             self.covariance.par_chunks_mut(CHUNK),
@@ -126,6 +133,7 @@ impl Gaussians {
         self.view_rotation.truncate(n);
         self.temperature.truncate(n);
         self.visible.truncate(n);
+        self.trained_pixel.truncate(n);
     }
 
     /// Appends one Gaussian. `coefficients` must have [`Gaussians::sh_stride`] values.
@@ -158,6 +166,7 @@ impl Gaussians {
         join(&mut self.view_rotation, &other.view_rotation, n, m, IDENTITY);
         join(&mut self.temperature, &other.temperature, n, m, AMBIENT_K);
         join(&mut self.visible, &other.visible, n, m, true);
+        join(&mut self.trained_pixel, &other.trained_pixel, n, m, 0.0);
         self.mean.extend_from_slice(&other.mean);
         self.covariance.extend_from_slice(&other.covariance);
         self.opacity.extend_from_slice(&other.opacity);
@@ -195,6 +204,9 @@ impl Gaussians {
         if !self.visible.is_empty() {
             fill(&mut self.visible, n, true);
         }
+        if !self.trained_pixel.is_empty() {
+            fill(&mut self.trained_pixel, n, 0.0);
+        }
     }
 
     /// Panics where the arrays do not fit together: a mistake of the program, never of the data.
@@ -208,6 +220,7 @@ impl Gaussians {
         assert!(self.view_rotation.is_empty() || self.view_rotation.len() == n, "view rotations");
         assert!(self.temperature.is_empty() || self.temperature.len() == n, "temperatures");
         assert!(self.visible.is_empty() || self.visible.len() == n, "visibility");
+        assert!(self.trained_pixel.is_empty() || self.trained_pixel.len() == n, "pixels of the training");
     }
 }
 

@@ -8,6 +8,7 @@ use fearless_simd::{Level, Simd, dispatch, f64x8, prelude::*};
 use megas_math::{Mat3, Vec3, mat3, sh, vec3};
 use megas_model::{AMBIENT_K, Camera, Projection};
 
+use crate::settings::BOX;
 use crate::{Channels, Gaussians, Settings};
 
 /// Gaussians per projection job.
@@ -158,6 +159,10 @@ fn project_simd<S: Simd>(simd: S, view: &View, g: &Gaussians, first: usize, last
         let n = (last - start).min(8);
         let mut mean = [[0.0f64; 8]; 3];
         let mut cov = [[0.0f64; 8]; 6];
+        let mut pixel = [0.0f64; 8];
+        if let Some(pixels) = g.trained_pixel.get(start..start + n) {
+            pixel.iter_mut().zip(pixels).for_each(|(p, v)| *p = f64::from(*v));
+        }
         for (k, m) in g.mean[start..start + n].iter().enumerate() {
             for a in 0..3 {
                 mean[a][k] = f64::from(m[a]);
@@ -168,7 +173,7 @@ fn project_simd<S: Simd>(simd: S, view: &View, g: &Gaussians, first: usize, last
                 cov[a][k] = f64::from(c[a]);
             }
         }
-        let lanes = image_space(simd, view, &mean, &cov);
+        let lanes = image_space(simd, view, &mean, &cov, &pixel);
         for k in 0..n {
             emit(simd, view, g, start + k, &lanes, k, out);
         }
@@ -176,7 +181,7 @@ fn project_simd<S: Simd>(simd: S, view: &View, g: &Gaussians, first: usize, last
 }
 
 #[inline(always)]
-fn image_space<S: Simd>(simd: S, view: &View, mean: &[[f64; 8]; 3], cov: &[[f64; 8]; 6]) -> Lanes {
+fn image_space<S: Simd>(simd: S, view: &View, mean: &[[f64; 8]; 3], cov: &[[f64; 8]; 6], pixel: &[f64; 8]) -> Lanes {
     let v = |x: f64| f64x8::splat(simd, x);
     let load = |a: &[f64; 8]| f64x8::load_array_ref(simd, a);
     let x: [f64x8<S>; 3] = [load(&mean[0]), load(&mean[1]), load(&mean[2])];
@@ -186,6 +191,7 @@ fn image_space<S: Simd>(simd: S, view: &View, mean: &[[f64; 8]; 3], cov: &[[f64;
         p[r] = x[0].mul_add(v(view.w[r][0]), x[1].mul_add(v(view.w[r][1]), x[2].mul_add(v(view.w[r][2]), v(view.t[r]))));
     }
     let row = |r: usize| -> [f64x8<S>; 3] { [v(view.w[r][0]), v(view.w[r][1]), v(view.w[r][2])] };
+    let mut magnification = [v(view.focal[0]), v(view.focal[1])];
     let (rows, m) = if view.pinhole {
         let iz = v(1.0) / p[2];
         let forward = row(2);
@@ -196,6 +202,7 @@ fn image_space<S: Simd>(simd: S, view: &View, mean: &[[f64; 8]; 3], cov: &[[f64;
             m[k] = tan.mul_add(v(view.focal[k]), v(view.principal[k]));
             let tan = tan.max(v(view.tangent_min[k])).min(v(view.tangent_max[k]));
             let f = iz * v(view.focal[k]);
+            magnification[k] = f;
             for a in 0..3 {
                 rows[k][a] = (rows[k][a] - tan * forward[a]) * f;
             }
@@ -224,7 +231,18 @@ fn image_space<S: Simd>(simd: S, view: &View, mean: &[[f64; 8]; 3], cov: &[[f64;
     let (v0, v1) = (times(&rows[0]), times(&rows[1]));
     let (s00, s01, s11) = (dot(&rows[0], &v0), dot(&rows[1], &v0), dot(&rows[1], &v1));
     let eps = v(view.low_pass);
-    let (a, b) = (s00 + eps, s11 + eps);
+    let (mut a, mut b) = (s00 + eps, s11 + eps);
+    let mut smaller = v(1.0);
+    if pixel.iter().any(|p| *p > 0.0) {
+        let p = load(pixel);
+        let known = p.simd_gt(v(0.0));
+        let q = magnification.map(|m| (m * p) * (m * p));
+        let own = [eps.mul_add(q[0], s00), eps.mul_add(q[1], s11)];
+        let wide = [0, 1].map(|k| (v(1.0) - q[k]).max(v(0.0)).mul_add(v(BOX), own[k]));
+        let off = s01 * s01;
+        smaller = known.select(own[0].mul_sub(own[1], off) / wide[0].mul_sub(wide[1], off), smaller);
+        (a, b) = (known.select(wide[0], a), known.select(wide[1], b));
+    }
     let det = a.mul_sub(b, s01 * s01);
     // √(½ log₂ e) turns the exponent into a power of two.
     let k = v((0.5 * std::f64::consts::LOG2_E).sqrt());
@@ -234,7 +252,7 @@ fn image_space<S: Simd>(simd: S, view: &View, mean: &[[f64; 8]; 3], cov: &[[f64;
         let det0 = s00.mul_sub(s11, s01 * s01);
         (det0 / det).max(v(2.5e-5)).sqrt()
     } else {
-        v(1.0)
+        smaller.max(v(2.5e-5)).sqrt()
     };
     Lanes {
         z: p[2].to_array(),

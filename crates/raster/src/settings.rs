@@ -33,7 +33,10 @@ pub struct Settings {
     pub alpha_max: f32,
     /// A pixel stops before the entry that would bring its transmittance below this.
     pub t_stop: f32,
-    /// Low-pass ε added to the image covariance \[px²\].
+    /// Low-pass ε added to the image covariance \[px²\]. Trainings fit Gaussians with it, so it is part of the model: where the size of
+    /// a training's pixel is known ([`crate::Gaussians::trained_pixel`]), q pixels of the picture, ε q² is added instead, and for
+    /// q < 1 what a larger pixel averages more than the training's, (1 − q²)/12, which conserves the integral. Otherwise a model
+    /// grows fat when it is seen from farther away than its photographs, and thin from nearer.
     pub low_pass: f32,
     /// Gaussians nearer than this along the camera's z are left out \[scene units\].
     pub z_near: f32,
@@ -46,6 +49,9 @@ pub struct Settings {
     /// Edge of the tiles that Gaussians are sorted into: 8, 16 or 32 pixels. Changes the speed, not one bit of the image.
     pub tile: TileSize,
 }
+
+/// Variance of an average over a pixel \[px²\].
+pub(crate) const BOX: f64 = 1.0 / 12.0;
 
 /// Edge of a tile in pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

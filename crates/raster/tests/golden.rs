@@ -100,6 +100,11 @@ fn other_cameras_and_settings_match_the_reference() {
         // Sizes that fill neither tiles nor bricks.
         compare(&g, &camera(61, 35), &Settings::default());
         compare(&g, &camera(64, 48), &Settings { anti_aliased: true, ..Settings::default() });
+        // Trained on pixels that are unknown, smaller and larger than those of the picture.
+        g.trained_pixel = (0..g.len()).map(|i| [0.0, 0.01, 0.1][i % 3]).collect();
+        compare(&g, &camera(64, 48), &Settings::default());
+        compare(&g, &orthographic(64), &Settings::default());
+        g.trained_pixel.clear();
         let turn = megas_math::quat::to_mat3([0.8f32, 0.3, -0.2, 0.5]);
         for i in (0..g.len()).step_by(2) {
             g.set_view_rotation(i, turn);

@@ -358,6 +358,37 @@ fn giants_and_specks() {
 }
 
 #[test]
+fn what_is_trained_on_fine_pixels_stays_as_large_from_far_away() {
+    // A wall of small discs, seen at the pixels of its training and four times coarser: each coarse pixel is to be the mean of 4 × 4.
+    let mut s = Splats::default();
+    let mut rng = Rng::new(31);
+    for i in 0..32 * 32 {
+        let at = |k: i32| (k as f32 + 0.5) / 32.0 - 0.5;
+        let colour = [0, 1, 2].map(|_| sh::dc_from_rgb(rng.unit() as f32));
+        s.push([at(i % 32), at(i / 32), 0.0], [-4.2, -4.2, -7.0], [1.0, 0.0, 0.0, 0.0], 4.0, &colour);
+    }
+    let look = |size: u32| Camera::orthographic([0.0; 3], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0], 1.0, 5.0, size, size);
+    // At the training's own resolution it changes nothing.
+    let plain = Gaussians::from_splats(&Splats { trained_pixel: vec![0.0; s.len()], ..s.clone() });
+    let same = Gaussians::from_splats(&Splats { trained_pixel: vec![2.0 / 256.0; s.len()], ..s.clone() });
+    assert!(distance(&geometry(&plain, &look(256)), &geometry(&same, &look(256))) < 1e-4);
+    let mut error = |pixel: f32| {
+        s.trained_pixel.fill(pixel);
+        let g = Gaussians::from_splats(&s);
+        let fine = draw(&g, &look(256), &Settings::default(), Channels::Rgba);
+        let coarse = draw(&g, &look(64), &Settings::default(), Channels::Rgba);
+        let mean = |x: usize, y: usize| -> [f32; 3] {
+            let at = |k: usize| fine.rgb[(4 * y + k / 4) * 256 + 4 * x + k % 4];
+            (0..16).map(at).fold([0.0; 3], |s, c| vec3::add_scaled(s, c, 1.0 / 16.0))
+        };
+        let differs = |i: usize| vec3::norm(vec3::sub(coarse.rgb[i], mean(i % 64, i / 64)));
+        (0..64 * 64).map(differs).sum::<f32>() / (64.0 * 64.0)
+    };
+    let (unknown, known) = (error(0.0), error(2.0 / 256.0));
+    assert!(known < 0.25 * unknown && known < 0.02, "{unknown} {known}");
+}
+
+#[test]
 fn the_clip_plane_leaves_out_one_side() {
     let g = Gaussians::from_splats(&random_splats(18, 300));
     let cut = ClipPlane { normal: [0.0, 0.0, 1.0], offset: 0.1 };

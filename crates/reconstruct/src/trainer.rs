@@ -5,7 +5,7 @@
 use fearless_simd::Level;
 use megas_capture::{Photo, Seeds};
 use megas_math::{rng::Rng, sh};
-use megas_model::{Camera, Image, Splats, logit};
+use megas_model::{Camera, Image, Projection, Splats, logit};
 use megas_raster::{Channels, Cotangents, Frame, Gaussians, Gradients, Rasterizer, Settings, Statistics};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -102,6 +102,8 @@ impl Trainer {
     pub fn new(views: Vec<Photo>, mut splats: Splats, options: Options) -> Self {
         assert!(!views.is_empty() && !splats.is_empty(), "nothing to train");
         options.clamp(&mut splats);
+        // What another training knew: this one fits them to its own pixels.
+        splats.trained_pixel.fill(0.0);
         let edges = vec![None; views.len()];
         let exposures = Exposures::new(if options.exposure.is_some() { views.len() } else { 0 });
         Self {
@@ -161,10 +163,11 @@ impl Trainer {
         &self.model.splats
     }
 
-    /// The splats with identities of their own, for a file.
+    /// The splats with identities of their own and the sizes of the pixels that they were trained on, for a file.
     pub fn export(&self) -> Splats {
         let mut splats = self.model.splats.clone();
         splats.birth_id = (0..splats.len() as u32).collect();
+        splats.trained_pixel = pixels(&splats.mean, self.views.iter().map(|v| &v.camera));
         splats
     }
 
@@ -510,6 +513,27 @@ fn lend<R>(splats: &mut Splats, gaussians: &mut Gaussians, f: impl FnOnce(&Gauss
     let result = f(gaussians);
     std::mem::swap(&mut gaussians.sh, &mut splats.sh);
     result
+}
+
+/// Median size of a pixel at each place over the cameras that have it in their picture; 0 where none has.
+fn pixels<'a>(places: &[[f32; 3]], cameras: impl Iterator<Item = &'a Camera>) -> Vec<f32> {
+    let cameras: Vec<&Camera> = cameras.collect();
+    let size = |x: &[f32; 3], camera: &Camera| {
+        let p = camera.to_camera(*x);
+        let [u, v] = camera.project(p);
+        let inside = p[2] > 0.0 && u >= 0.0 && v >= 0.0 && u < camera.width as f32 && v < camera.height as f32;
+        inside.then_some(match camera.projection {
+            Projection::Pinhole { fx, .. } => p[2] / fx,
+            Projection::Orthographic { scale } => scale.recip(),
+        })
+    };
+    let median = |sizes: &mut Vec<f32>, x: &[f32; 3]| {
+        sizes.clear();
+        sizes.extend(cameras.iter().filter_map(|c| size(x, c)));
+        let middle = sizes.len() / 2;
+        if sizes.is_empty() { 0.0 } else { *sizes.select_nth_unstable_by(middle, f32::total_cmp).1 }
+    };
+    places.par_iter().with_min_len(256).map_init(Vec::new, median).collect()
 }
 
 /// PSNR of colours clamped to [0, 1], over the pixels that count.

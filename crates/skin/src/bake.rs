@@ -35,6 +35,7 @@ pub fn bake_splats(g: &Gaussians, surface: usize) -> Splats {
     for (k, &i) in shown.iter().enumerate() {
         out.birth_id[k] = i as u32;
         out.temperature[k] = g.temperature.get(i).copied().unwrap_or(megas_model::AMBIENT_K);
+        out.trained_pixel[k] = g.trained_pixel.get(i).copied().unwrap_or(0.0);
         if i >= surface {
             out.origin[k] = Origin::Internal as u8;
         }

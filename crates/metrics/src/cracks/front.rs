@@ -51,9 +51,17 @@ pub fn front_layer(g: &Gaussians, camera: &Camera, depth: &[f32], window: f32) -
         let p = vec3::add(mat3::mul_vec(w, vec3::cast(g.mean[i])), vec3::cast(camera.translation));
         let c = mat3::congruence(w, mat3::cast(unpack_covariance(g.covariance[i])));
         let s2 = scale * scale;
-        let low_pass = f64::from(settings.low_pass);
-        let (a, b, d) = (s2 * c[0][0] + low_pass, s2 * c[0][1], s2 * c[1][1] + low_pass);
+        // As `Settings::low_pass` says.
+        let q2 = g.trained_pixel.get(i).filter(|p| **p > 0.0).map_or(1.0, |p| s2 * f64::from(*p).powi(2));
+        let (own, wide) = (f64::from(settings.low_pass) * q2, (1.0 - q2).max(0.0) / 12.0);
+        let (a, b, d) = (s2 * c[0][0] + own, s2 * c[0][1], s2 * c[1][1] + own);
+        let smaller = a * d - b * b;
+        let (a, d) = (a + wide, d + wide);
         let det = a * d - b * b;
+        let opacity = opacity * (smaller / det).max(2.5e-5).sqrt() as f32;
+        if opacity < settings.alpha_min {
+            return None;
+        }
         let usable = p[2] > f64::from(settings.z_near) && det > 0.0 && det.is_finite();
         if !usable {
             return None;
@@ -146,6 +154,8 @@ mod tests {
             let scale = std::array::from_fn(|_| rng.range(-4.5, -2.0) as f32);
             s.push(rng.direction().map(|v| v as f32), scale, q, rng.range(-3.0, 5.0) as f32, &[0.0; 3]);
         }
+        // Some of them trained on smaller pixels than the picture's, some on larger ones.
+        s.trained_pixel = (0..s.len()).map(|i| [0.0, 0.004, 0.03][i % 3]).collect();
         let g = Gaussians::from_splats(&s);
         let camera = Camera::orthographic([0.1, 0.0, 0.0], [0.3, 0.8, -0.5], [0.0, 0.0, 1.0], 1.3, 4.0, 100, 70);
         let expected = Rasterizer::new().frame(&g, &camera, &Settings::default(), Channels::Rgba);

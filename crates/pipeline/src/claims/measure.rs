@@ -51,6 +51,8 @@ pub fn measure(
         let keep: Vec<usize> = (0..splats.len()).filter(|&i| splats.opacity(i) > method.least_opacity()).collect();
         splats = splats.select(&keep);
     }
+    // Ours knows how large the pixels were that it was trained on; the others are drawn as they are in the literature.
+    splats.trained_pixel = vec![if method.knows_pixels() { truth.pixel as f32 } else { 0.0 }; splats.len()];
     let report = SplatReport::new(&splats, ASPECT, Some(&truth.surface));
     let mut own = filled(&splats, method.fills_by_density(), &truth.surface, truth.volume);
     own.depth = DEPTH_IN_PIXELS * truth.pixel;

@@ -81,6 +81,11 @@ impl Contender {
         matches!(self, Self::B6 | Self::A1)
     }
 
+    /// Draws splats with the blur of the pixels that they were trained on, whatever those of the picture are.
+    pub fn knows_pixels(self) -> bool {
+        self.training() == Method::Ours
+    }
+
     /// Opacity below which splats are dropped before anything moves.
     pub fn least_opacity(self) -> f32 {
         if self == Self::B1 { 0.02 } else { 0.0 }

@@ -110,9 +110,19 @@ fn items(g: &Gaussians, cam: &Camera, s: &Settings) -> Vec<Item> {
         let sigma: Mat3<f64> = mat3::cast(unpack_covariance(g.covariance[i]));
         let cov = |a: usize, b: usize| vec3::dot(rows[a], mat3::mul_vec(sigma, rows[b]));
         let (s00, s01, s11) = (cov(0, 0), cov(0, 1), cov(1, 1));
-        let (a, c) = (s00 + f64::from(s.low_pass), s11 + f64::from(s.low_pass));
+        let pixel = g.trained_pixel.get(i).map_or(0.0, |p| f64::from(*p));
+        let magnification = match cam.projection {
+            Projection::Pinhole { fx, fy } => [fx, fy].map(|f| f64::from(f) / p[2]),
+            Projection::Orthographic { scale } => [f64::from(scale); 2],
+        };
+        let q = magnification.map(|m| if pixel > 0.0 { m * pixel } else { 1.0 });
+        let own = [s00 + f64::from(s.low_pass) * q[0] * q[0], s11 + f64::from(s.low_pass) * q[1] * q[1]];
+        let [a, c] = [0, 1].map(|k| own[k] + (1.0 - q[k] * q[k]).max(0.0) / 12.0);
         let det = a * c - s01 * s01;
         let mut opacity = f64::from(g.opacity[i]);
+        if pixel > 0.0 && !s.anti_aliased {
+            opacity *= ((own[0] * own[1] - s01 * s01) / det).max(2.5e-5).sqrt();
+        }
         if s.anti_aliased {
             opacity *= ((s00 * s11 - s01 * s01) / det).max(2.5e-5).sqrt();
         }

@@ -525,6 +525,11 @@ impl Densifier {
             let colour = self.state.colour[k].map(sh::dc_from_rgb);
             own.push(*mean, *covariance, self.state.normal[k], OPACITY * self.state.fade[k].amount, &colour, kelvin);
         }
+        // They lie below a surface that is drawn with the blur of its training, and should not stick out by more.
+        let known = || frame.surface.trained_pixel.iter().filter(|p| **p > 0.0);
+        if let Some(pixel) = known().copied().reduce(f32::min) {
+            own.trained_pixel = vec![pixel; own.len()];
+        }
         out.extend_from(&own);
     }
 
