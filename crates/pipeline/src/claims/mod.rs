@@ -35,7 +35,7 @@ use truth::Truth;
 /// The mode whose pictures go on the sheet.
 const SHEET_MODE: Carry = Carry::ElasticLike;
 /// Bumped when figures change their meaning.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 
 /// How much is measured.
 #[derive(Clone, Debug, PartialEq)]
