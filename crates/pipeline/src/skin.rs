@@ -9,7 +9,7 @@ use megas_scene::{CrackKernel, KernelRadius, Scene, SurfaceNormals, SurfaceRule}
 use megas_skin::densify::{
     Anatomy, Deformed, Densifier, DensifyReport, DensifySettings, DensifyState, Fade, Kernel, Normals, Radius, Rule,
 };
-use megas_skin::{InternalKernels, Push, Skin, SkinSettings, SkinState};
+use megas_skin::{DEPTH_IN_PIXELS, InternalKernels, Push, Skin, SkinSettings, SkinState};
 use serde_json::json;
 
 use crate::Failure;
@@ -94,7 +94,7 @@ impl Dresser {
                 megas_scene::Push::Rotation => Push::Rotation,
             },
             squeeze: scene.skin.squeeze.unwrap_or(!scene.is_literal()),
-            depth: scene.skin.depth_m / unit,
+            depth: depth(scene, bodies),
             dull: scene.skin.dull.unwrap_or(!scene.is_literal()),
             needle_aspect: if clamp { scene.skin.max_stretch } else { f64::INFINITY },
             needle_size: if clamp { 2.0 * tau_scale } else { f64::INFINITY },
@@ -280,6 +280,18 @@ impl Dresser {
         self.next = frames;
         Some(())
     }
+}
+
+/// Depth of the splats below the surface that they draw, scene units.
+pub(crate) fn depth(scene: &Scene, bodies: &Bodies) -> f64 {
+    if let Some(metres) = scene.skin.depth_m {
+        return metres / bodies.meta.similarity.metres_per_unit;
+    }
+    let mut pixels = bodies.surface.trained_pixel.clone();
+    pixels.sort_unstable_by(f32::total_cmp);
+    // Zero where most of them do not know.
+    let median = pixels.get(pixels.len() / 2).map_or(0.0, |p| f64::from(*p));
+    if scene.is_literal() { 0.0 } else { DEPTH_IN_PIXELS * median }
 }
 
 /// Places of the internal particles at rest \[scene units\].

@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use crate::Failure;
 use crate::body::Bodies;
 use crate::disk::write_text;
+use crate::skin::depth;
 
 /// What was measured on the mesh of a frame, SI.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +53,7 @@ impl SurfaceMeshes {
         settings.voxel = (settings.voxel * o.mesh_voxel).min(2.0 * settings.spacing);
         let table = folder.join("measures.csv");
         let measures = read_table(&table);
-        let depth = depth(scene, bodies);
+        let depth = depth(scene, bodies) as f32;
         Ok(Some(Self { sequence, every: u64::from(o.mesh_every.max(1)), settings, depth, table, measures }))
     }
 
@@ -139,15 +140,10 @@ fn mesh_settings(bodies: &Bodies) -> MeshSettings {
     MeshSettings::new(0.5 * m.dx_m / unit, vec3::norm(size) / unit)
 }
 
-/// Depth of the splats below the surface that they draw, scene units.
-fn depth(scene: &Scene, bodies: &Bodies) -> f32 {
-    (scene.skin.depth_m / bodies.meta.similarity.metres_per_unit) as f32
-}
-
 /// The meshes of all objects in one, for pictures. Without `skin` they are those of the particles alone.
 pub fn whole_mesh(scene: &Scene, bodies: &Bodies, frame: &PointFrame, skin: bool) -> Mesh {
     let settings = mesh_settings(bodies);
-    let skin = skin.then(|| depth(scene, bodies));
+    let skin = skin.then(|| depth(scene, bodies) as f32);
     let mut whole = Mesh::default();
     for o in &bodies.meta.objects {
         append(&mut whole, object_mesh(bodies, frame, o.number, &settings, skin));

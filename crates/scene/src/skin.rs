@@ -102,10 +102,12 @@ pub struct Skin {
     /// preset "paper"). Its own sheen is a matter of `wetness`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dull: Option<bool>,
-    /// Depth of the splats below the surface that they draw \[m\], 0–0.01, kept while the flow presses the surface together or apart:
-    /// models trained here lie about 1.35 pixels of their photographs deep. 0: they go where the material goes.
+    /// Depth of the splats below the surface that they draw \[m\], 0–0.01, kept while the flow presses the surface together or apart; 0:
+    /// they go where the material goes (default: 1.35 pixels of the photographs, as deep as trainings put them, where the splats
+    /// remember those, else 0; 0 with preset "paper").
     #[schemars(range(min = 0.0, max = 0.01))]
-    pub depth_m: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_m: Option<f64>,
     /// Which points become kernels: "weight" or "argmax" (the paper).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub surface_rule: Option<SurfaceRule>,
@@ -148,7 +150,7 @@ impl Default for Skin {
             grow: None,
             squeeze: None,
             dull: None,
-            depth_m: 0.0,
+            depth_m: None,
             surface_rule: None,
             kernel: None,
             kernel_radius: None,

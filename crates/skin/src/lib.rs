@@ -15,5 +15,5 @@ mod skin;
 pub use bake::bake_splats;
 pub use clamp::{NeedleLimit, clamp_covariance};
 pub use gloss::dull;
-pub use push::{Pushed, lost_depth, push_forward, rebase_covariance, squeeze};
+pub use push::{DEPTH_IN_PIXELS, Pushed, lost_depth, push_forward, rebase_covariance, squeeze};
 pub use skin::{InternalKernels, Push, Skin, SkinSettings, SkinState};

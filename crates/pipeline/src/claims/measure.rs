@@ -9,7 +9,7 @@ use megas_metrics::deform::{Carry, Deformation};
 use megas_metrics::fidelity::draw;
 use megas_metrics::splats::{Needles, SplatReport};
 use megas_raster::{Frame, Rasterizer};
-use megas_skin::bake_splats;
+use megas_skin::{DEPTH_IN_PIXELS, bake_splats};
 use serde_json::{Map, Value, json};
 
 use super::coherence::coherence;
@@ -20,10 +20,6 @@ use super::truth::Truth;
 use super::{SHEET_MODE, Scope};
 use crate::reconstruct::ASPECT;
 use crate::{Event, Failure, Sink};
-
-/// Depth of the means of `ours` below the true surface, in pixels of the photographs: the median is 1.33 on the ice cream and 1.44 on the
-/// cow. The blur of half a pixel that training draws with would make the outline too fat otherwise.
-const DEPTH_IN_PIXELS: f64 = 1.35;
 
 /// The rows of a deformed model: at rest and D1 to D6.
 pub fn states() -> impl Iterator<Item = Deformation> {
