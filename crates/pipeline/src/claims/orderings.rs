@@ -93,9 +93,13 @@ pub fn checks(r: &Results) -> Vec<Check> {
     }
     for d in coherence::FILMS {
         let unrest = |l: Look, key: &str| r.mean(B6, &format!("/coherence/{}/{}/{key}", d.id(), l.names().0));
-        for (what, key) in [("pictures", "beyond_truth"), ("normals", "normals_beyond_truth")] {
-            if let (Some(ours), Some(other)) = (unrest(Look::SkinMesh, key), unrest(Look::DensityMesh, key)) {
-                let claim = format!("{} film, unrest of {what}: the mesh at most half of the density's", d.id());
+        for (look, what, key) in [
+            (Look::Sealed, "pictures", "beyond_truth"),
+            (Look::SkinMesh, "pictures", "beyond_truth"),
+            (Look::SkinMesh, "normals", "normals_beyond_truth"),
+        ] {
+            if let (Some(ours), Some(other)) = (unrest(look, key), unrest(Look::DensityMesh, key)) {
+                let claim = format!("{} film, unrest of {what}: {} at most half of the density's mesh", d.id(), look.names().1);
                 say(claim, ours <= CALM * other, format!("{:.2}, {:.2} thousandths", 1e3 * ours, 1e3 * other));
             }
         }

@@ -324,7 +324,7 @@ mod tests {
         let text = r.to_markdown(&checks(&r), &json!({}));
         assert!(text.contains("| mesh, shaped by the splats | 9.00 | 1.00 | 2.00 | – |"), "{text}");
         assert!(
-            text.contains("| D3 film, unrest of pictures: the mesh at most half of the density's | **no** | 1.00, 1.90 thousandths |"),
+            text.contains("| D3 film, unrest of pictures: mesh, shaped by the splats at most half of the density's mesh | **no** | 1.00, 1.90 thousandths |"),
             "{text}"
         );
     }
