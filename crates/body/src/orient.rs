@@ -134,7 +134,9 @@ pub fn visibility(splats: &Splats, settings: &OrientSettings) -> (Visibility, us
     // Far enough for every mean to be in front of the camera; nothing else depends on the distance.
     let far = splats.mean.iter().map(|&m| vec3::norm(vec3::sub(m, center))).filter(|d| d.is_finite()).fold(half as f32, f32::max);
     let image = raster::Settings { z_near: 0.0, ..raster::Settings::default() };
-    let gaussians = Gaussians::from_splats(splats);
+    let mut gaussians = Gaussians::from_splats(splats);
+    // These views ask where a surface is, not what it looks like: in coarse pixels the usual blur closes the gaps of a thin model.
+    gaussians.trained_pixel.clear();
     let mut rasterizer = Rasterizer::new();
     let mut frame = Frame::default();
     for d in fibonacci_directions(settings.views) {
