@@ -231,6 +231,11 @@ impl Splats {
         sh::seen_dc(self.sh_of(i), self.normal(i)).map(sh::rgb_from_dc)
     }
 
+    /// [`Splats::trained_pixel`] where any is known, else nothing.
+    pub fn known_pixels(&self) -> &[f32] {
+        if self.trained_pixel.iter().any(|p| *p > 0.0) { &self.trained_pixel } else { &[] }
+    }
+
     /// Axis-aligned box of the means `(min, max)`; `None` without Gaussians.
     pub fn bounds(&self) -> Option<(Vec3<f32>, Vec3<f32>)> {
         let first = *self.mean.first()?;

@@ -79,9 +79,7 @@ impl Gaussians {
         self.temperature.clear();
         self.temperature.extend_from_slice(&splats.temperature);
         self.trained_pixel.clear();
-        if splats.trained_pixel.iter().any(|p| *p > 0.0) {
-            self.trained_pixel.extend_from_slice(&splats.trained_pixel);
-        }
+        self.trained_pixel.extend_from_slice(splats.known_pixels());
         let arrays = (
             self.mean.par_chunks_mut(CHUNK),
             self.covariance.par_chunks_mut(CHUNK),

@@ -77,6 +77,12 @@ impl TileSize {
 }
 
 impl Settings {
+    /// Variances that are added to the image covariance of a Gaussian whose training's pixels are q pixels of the picture (1: not known):
+    /// the model's own, and that of the wider average, for which its opacity pays (see [`Settings::low_pass`]) \[px²\].
+    pub fn blur(&self, q2: f64) -> [f64; 2] {
+        [f64::from(self.low_pass) * q2, BOX * (1.0 - q2).max(0.0)]
+    }
+
     /// The smallest alpha that counts, with its lower bound.
     pub(crate) fn least_alpha(&self) -> f32 {
         self.alpha_min.max(1e-30)

@@ -228,8 +228,8 @@ impl Skin {
             }
         }
         let shown = out.mean.len();
-        if self.surface.trained_pixel.iter().any(|p| *p > 0.0) {
-            out.trained_pixel.extend_from_slice(&self.surface.trained_pixel);
+        out.trained_pixel.extend_from_slice(self.surface.known_pixels());
+        if !out.trained_pixel.is_empty() {
             out.trained_pixel.resize(shown, 0.0);
         }
         out.temperature.extend_from_slice(&frame.temperature[..shown]);

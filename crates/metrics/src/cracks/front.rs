@@ -51,9 +51,8 @@ pub fn front_layer(g: &Gaussians, camera: &Camera, depth: &[f32], window: f32) -
         let p = vec3::add(mat3::mul_vec(w, vec3::cast(g.mean[i])), vec3::cast(camera.translation));
         let c = mat3::congruence(w, mat3::cast(unpack_covariance(g.covariance[i])));
         let s2 = scale * scale;
-        // As `Settings::low_pass` says.
         let q2 = g.trained_pixel.get(i).filter(|p| **p > 0.0).map_or(1.0, |p| s2 * f64::from(*p).powi(2));
-        let (own, wide) = (f64::from(settings.low_pass) * q2, (1.0 - q2).max(0.0) / 12.0);
+        let [own, wide] = settings.blur(q2);
         let (a, b, d) = (s2 * c[0][0] + own, s2 * c[0][1], s2 * c[1][1] + own);
         let smaller = a * d - b * b;
         let (a, d) = (a + wide, d + wide);

@@ -102,7 +102,7 @@ pub fn carry(
         view_rotation: all.iter().map(|o| o.rotation).collect(),
         temperature: splats.temperature.clone(),
         visible: Vec::new(),
-        trained_pixel: if splats.trained_pixel.iter().any(|p| *p > 0.0) { splats.trained_pixel.clone() } else { Vec::new() },
+        trained_pixel: splats.known_pixels().to_vec(),
     };
     Carried { gaussians, gradient: all.into_iter().map(|o| o.gradient).collect() }
 }

@@ -526,8 +526,8 @@ impl Densifier {
             own.push(*mean, *covariance, self.state.normal[k], OPACITY * self.state.fade[k].amount, &colour, kelvin);
         }
         // They lie below a surface that is drawn with the blur of its training, and should not stick out by more.
-        let known = || frame.surface.trained_pixel.iter().filter(|p| **p > 0.0);
-        if let Some(pixel) = known().copied().reduce(f32::min) {
+        let known = frame.surface.trained_pixel.iter().copied().filter(|p| *p > 0.0);
+        if let Some(pixel) = known.reduce(f32::min) {
             own.trained_pixel = vec![pixel; own.len()];
         }
         out.extend_from(&own);
